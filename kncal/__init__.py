@@ -1,0 +1,85 @@
+"""kncal: how stiff must a linear DEM spring be, what does it buy, and what does it cost?
+
+The names below are the public API; each is loaded when it is first used, so that ``import kncal`` stays cheap.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from kncal.calibration import Calibration, calibrate
+    from kncal.case_file import load_case
+    from kncal.errors import (
+        CaseFileError,
+        InputError,
+        KncalError,
+        ReadError,
+        RenderError,
+        RunError,
+        SolverMissingError,
+        ValidityError,
+    )
+    from kncal.impact import DimensionlessImpact, dimensionless_impact
+    from kncal.material import Material, Pair, pair, wall_pair
+    from kncal.matrix import PairMatrix, calibrate_matrix
+    from kncal.timestep import TimeStepAdvice, advise_time_step, predict_error
+
+_HOME = {
+    "kncal.calibration": ("Calibration", "calibrate"),
+    "kncal.case_file": ("load_case",),
+    "kncal.errors": (
+        "CaseFileError",
+        "InputError",
+        "KncalError",
+        "ReadError",
+        "RenderError",
+        "RunError",
+        "SolverMissingError",
+        "ValidityError",
+    ),
+    "kncal.impact": ("DimensionlessImpact", "dimensionless_impact"),
+    "kncal.material": ("Material", "Pair", "pair", "wall_pair"),
+    "kncal.matrix": ("PairMatrix", "calibrate_matrix"),
+    "kncal.timestep": ("TimeStepAdvice", "advise_time_step", "predict_error"),
+}
+_WHERE = {name: module for module, names in _HOME.items() for name in names}
+
+__all__ = [
+    "Calibration",
+    "CaseFileError",
+    "DimensionlessImpact",
+    "InputError",
+    "KncalError",
+    "Material",
+    "Pair",
+    "PairMatrix",
+    "ReadError",
+    "RenderError",
+    "RunError",
+    "SolverMissingError",
+    "TimeStepAdvice",
+    "ValidityError",
+    "__version__",
+    "advise_time_step",
+    "calibrate",
+    "calibrate_matrix",
+    "dimensionless_impact",
+    "load_case",
+    "pair",
+    "predict_error",
+    "wall_pair",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _WHERE:
+        return getattr(import_module(_WHERE[name]), name)
+    raise AttributeError(f"module 'kncal' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,0 +1,5 @@
+"""``python -m kncal``."""
+
+from kncal.cli import main
+
+main()

@@ -1,0 +1,35 @@
+"""Every error kncal raises on purpose. Each is a `KncalError`; most are also the fitting built-in."""
+
+from __future__ import annotations
+
+
+class KncalError(Exception):
+    """Base of every error that kncal raises on purpose; its text is meant for the user."""
+
+
+class InputError(KncalError, ValueError):
+    """A value given by the caller is out of range, not finite, or of the wrong kind."""
+
+
+class ValidityError(KncalError, ValueError):
+    """The inputs are possible, but the contact theory has no meaning for them (overlap beyond the radius ...)."""
+
+
+class CaseFileError(KncalError, ValueError):
+    """A case file is not readable or not valid; the text names the file, the key and the line."""
+
+
+class RenderError(KncalError, ValueError):
+    """A scene cannot be written as input of the chosen solver."""
+
+
+class ReadError(KncalError, ValueError):
+    """A file written by a solver is truncated, empty or malformed; the text names the file and the line."""
+
+
+class RunError(KncalError, RuntimeError):
+    """A solver run did not end as it should."""
+
+
+class SolverMissingError(RunError):
+    """The solver's program is not installed or cannot be started."""
