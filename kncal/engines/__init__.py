@@ -1,0 +1,1 @@
+"""Engines: each renders a model, runs it and reads it back."""
