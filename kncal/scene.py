@@ -150,3 +150,16 @@ class Scene:
         ]
         pairs += [(a, w) for a in spheres for w in self.walls]
         return tuple(pairs)
+
+    def choice_for(self, a: Particle, b: Particle | Wall) -> PairChoice | None:
+        """Return the first exception of the case that names both bodies (or their materials), or None."""
+        names_a, names_b = _names(a), _names(b)
+        for choice in self.contact.pairs:
+            one, two = choice.between
+            if (one in names_a and two in names_b) or (two in names_a and one in names_b):
+                return choice
+        return None
+
+
+def _names(body: Particle | Wall) -> tuple[str, str]:
+    return body.name, "rigid" if body.material is None else body.material.name

@@ -1,0 +1,132 @@
+"""Refusals of a case file: from a finding to a line that says file, line, key, value and what is expected."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+from kncal.case_schema import description, table_at
+from kncal.errors import CaseFileError
+
+if TYPE_CHECKING:
+    from pydantic_core import ErrorDetails
+
+#: A refusal lists at most this many faults.
+MOST_FAULTS = 10
+
+KeyPath = tuple[str | int, ...]
+Fault = tuple[KeyPath, str]
+
+
+BARE = re.compile(r"[A-Za-z0-9_-]+")
+_PART = r"""(?:[A-Za-z0-9_-]+|"[^"\n]*"|'[^'\n]*')"""
+_KEYS = rf"{_PART}(?:\s*\.\s*{_PART})*"
+_LINE = re.compile(rf"\s*(?:\[\[\s*(?P<many>{_KEYS})\s*\]\]|\[\s*(?P<one>{_KEYS})\s*\]|(?P<key>{_KEYS})\s*=)")
+
+
+def fault(error: ErrorDetails) -> Fault:
+    """Turn one of pydantic's findings into (path, message)."""
+    path = tuple(part for part in error["loc"] if part not in ("float", "str", "function-after[_option(), float]"))
+    kind, meaning = error["type"], description(path)
+    value = f"{_shown(path)} = {short(error['input'])}"
+    about = f" for the {meaning}" if meaning else ""
+    if kind == "extra_forbidden":
+        return path, f"{_shown(path)}: unknown key: {_instead(str(path[-1]), table_at(path).model_fields)}"
+    if kind == "missing":
+        return path, f"{_shown(path)}: missing: expected {meaning}"
+    if path and path[-1] == "[key]":
+        return path[:-1], f"{_shown(path[:-2])}: key {short(path[-2])}: {_cause(error)}"
+    if kind in _EXPECTED:
+        return path, f"{value}: expected {_EXPECTED[kind]}{about}"
+    return path, f"{value}: {_cause(error)}"
+
+
+#: pydantic's error types in plain words.
+_EXPECTED = {
+    "float_type": "a number in SI units, without quotes or unit,",
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "finite_number": "a finite number",
+    "string_type": "text in quotes",
+    "bool_type": "true or false",
+    "too_short": "a longer list",
+    "too_long": "a shorter list",
+    "list_type": "a list",
+}
+
+
+def _cause(error: ErrorDetails) -> str:
+    """The "expected ..." part of a message of our own, or what pydantic says."""
+    text = str(error.get("ctx", {}).get("error", error["msg"]))
+    head, found, rest = text.partition("expected ")
+    return found + rest if found else head[:1].lower() + head[1:]
+
+
+def placed(path: KeyPath, message: str) -> Fault:
+    """Prefix a message with its path; one that begins with the key (``e_n = 2: ...``) has half of it."""
+    key = str(path[-1])
+    if message.startswith(f"{key} = "):
+        return path, f"{_shown(path)}{message[len(key) :]}"
+    return path, f"{_shown(path)}: {message}"
+
+
+def _instead(key: str, allowed: Iterable[str]) -> str:
+    allowed = list(allowed)
+    near = difflib.get_close_matches(key, allowed, n=1)
+    return f"expected one of {', '.join(allowed)}" + (f"; did you mean {near[0]!r}?" if near else "")
+
+
+def _shown(path: Iterable[str | int]) -> str:
+    """``("particles", 0, "name")`` -> ``particles[0].name``; odd keys are quoted and escaped."""
+    text = ""
+    for part in path:
+        if isinstance(part, int):
+            text += f"[{part}]"
+        else:
+            text += ("." if text else "") + (part if BARE.fullmatch(part) and len(part) <= 64 else short(part))
+    return text
+
+
+def short(value: object) -> str:
+    """Return a value as Python writes it, cut to 70 characters; harmless on a terminal."""
+    text = repr(value)  # escapes control characters and line separators
+    return text if len(text) <= 70 else text[:67] + "..."
+
+
+def refusal(where: str, text: str, faults: list[Fault]) -> CaseFileError:
+    """Return the error that lists ``faults`` by line; ``text`` is the content of the file ``where``."""
+    lines = _line_numbers(text)
+
+    def line(path: KeyPath) -> int | None:
+        return next((lines[path[:n]] for n in range(len(path), 0, -1) if path[:n] in lines), None)
+
+    in_order = sorted(((line(path), message) for path, message in faults), key=lambda item: item[0] or 0)
+    listed = [f"{where}{f', line {n}' if n else ''}: {message}" for n, message in in_order[:MOST_FAULTS]]
+    if len(faults) > MOST_FAULTS:
+        listed.append(f"{where}: and {len(faults) - MOST_FAULTS} more")
+    return CaseFileError("\n".join(listed))
+
+
+def _line_numbers(text: str) -> dict[KeyPath, int]:
+    """Where each key stands, best effort: TOML one line at a time, as people write it."""
+    found: dict[KeyPath, int] = {}
+    counts: dict[KeyPath, int] = {}
+    table: KeyPath = ()
+    for number, line in enumerate(text.split("\n"), start=1):
+        match = _LINE.match(line)
+        if match is None:
+            continue
+        keys = [part.strip("\"'") for part in re.findall(_PART, match["many"] or match["one"] or match["key"])]
+        path: KeyPath = table if match["key"] else ()
+        for i, key in enumerate(keys):
+            path = (*path, key)
+            if match["many"] and i == len(keys) - 1:
+                counts[path] = counts.get(path, -1) + 1
+            if path in counts:
+                path = (*path, counts[path])
+        found.setdefault(path, number)
+        if not match["key"]:
+            table = path
+    return found

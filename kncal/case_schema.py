@@ -1,0 +1,193 @@
+"""What a case file may hold: one pydantic model per table; strict numbers in SI units, checked names.
+
+Only the form of each value is checked here; what values must satisfy together is in `kncal.case_checks`.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+from kncal.checks import in_range, positive
+
+#: Names end up in folder names, decks and web pages: letters, digits and a few harmless signs.
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
+NAME_EXPECTED = "expected a name of 1 to 64 letters, digits, '.', '_' or '-', starting with a letter or digit"
+
+#: More bodies than this are no scene of single contacts.
+MOST_PARTICLES, MOST_WALLS, MOST_PAIRS = 500, 50, 500
+
+
+def _name(text: str) -> str:
+    if not NAME.fullmatch(text):
+        raise ValueError(NAME_EXPECTED)
+    return text
+
+
+def _line(text: str) -> str:
+    if not text.isprintable() or len(text) > 300:
+        raise ValueError("expected one line of at most 300 printable characters")
+    return text
+
+
+def _within(low: float, high: float, unit: str = "", hint: str = "") -> AfterValidator:
+    def check(value: float) -> float:
+        in_range("value", value, low, high, unit=unit, hint=hint)
+        return value
+
+    return AfterValidator(check)
+
+
+def _above_zero(unit: str = "", hint: str = "", high: float = np.inf) -> AfterValidator:
+    def check(value: float) -> float:
+        in_range("value", value, 0.0, high, low_open=True, unit=unit, hint=hint)
+        return value
+
+    return AfterValidator(check)
+
+
+def _option(value: float | str) -> float | str:
+    if isinstance(value, str):
+        return _name(value)
+    positive("value", value)
+    return value
+
+
+Name = Annotated[str, AfterValidator(_name)]
+Text = Annotated[str, AfterValidator(_line)]
+Fraction = Annotated[float, _above_zero(high=1.0)]
+Friction = Annotated[float, _within(0.0, 10.0)]
+Speed = Annotated[float, _above_zero("m/s", high=1e4)]
+Stiffness = Annotated[float, _above_zero("N/m")]
+Seconds = Annotated[float, _above_zero("s")]
+_THREE = Field(min_length=3, max_length=3)
+Position = Annotated[list[Annotated[float, _within(-1e4, 1e4, "m", "1 mm is 1e-3")]], _THREE]
+Velocity = Annotated[list[Annotated[float, _within(-1e4, 1e4, "m/s")]], _THREE]
+Spin = Annotated[list[Annotated[float, _within(-1e8, 1e8, "rad/s")]], _THREE]
+Acceleration = Annotated[list[Annotated[float, _within(-1e5, 1e5, "m/s²")]], _THREE]
+
+
+class Table(BaseModel):
+    """Base of every table: refuses unknown keys, text or booleans for numbers, NaN and infinity."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
+
+
+class MaterialTable(Table):
+    """``[materials.NAME]``; the ranges are those of `kncal.material.Material`."""
+
+    young: float = Field(description="Young's modulus [Pa]")
+    poisson: float = Field(description="Poisson's ratio [-]")
+    density: float = Field(description="density [kg/m³]")
+    yield_strength: float | None = Field(None, description="yield strength [Pa]")
+
+
+class ParticleTable(Table):
+    """``[[particles]]``."""
+
+    name: Name = Field(description="the particle's name")
+    material: Name = Field(description="the name of a material")
+    diameter: Annotated[float, _above_zero("m", "1 mm is 1e-3", high=1e3)] = Field(description="diameter [m]")
+    position: Position = Field(description="[x, y, z] of the centre [m]")
+    velocity: Velocity = Field([0.0, 0.0, 0.0], description="[x, y, z] of the velocity [m/s]")
+    spin: Spin = Field([0.0, 0.0, 0.0], description="[x, y, z] of the angular velocity [rad/s]")
+
+
+class WallTable(Table):
+    """``[[walls]]``."""
+
+    name: Name = Field(description="the wall's name")
+    axis: Literal["x", "y", "z"] = Field(description='the plane\'s normal: "x", "y" or "z"')
+    position: Annotated[float, _within(-1e4, 1e4, "m", "1 mm is 1e-3")] = Field(
+        description="coordinate of the plane [m]"
+    )
+    material: Name = Field(description='the name of a material, or "rigid"')
+
+
+class PairTable(Table):
+    """``[[contact.pairs]]``."""
+
+    between: Annotated[list[Name], Field(min_length=2, max_length=2)] = Field(
+        description="two names of particles, walls or materials"
+    )
+    e_n: Fraction | None = Field(None, description="normal restitution [-]")
+    friction: Friction | None = Field(None, description="Coulomb friction coefficient [-]")
+    v_0: Speed | None = Field(None, description="impact speed to calibrate at [m/s]")
+    k_n: Stiffness | None = Field(None, description="prescribed linear stiffness [N/m]")
+
+
+class ContactTable(Table):
+    """``[contact]``; the names of law and method are checked against the registries."""
+
+    law: str = Field("tsuji", description="reference contact law")
+    e_n: Fraction = Field(1.0, description="normal restitution [-]")
+    end: Literal["overlap", "force"] = Field("overlap", description='contact end: "overlap" or "force"')
+    method: str | None = Field(None, description="how k_n is found")
+    v_0: Speed | None = Field(None, description="impact speed to calibrate at [m/s]")
+    k_n: Stiffness | None = Field(None, description="prescribed linear stiffness [N/m]")
+    friction: Friction = Field(0.0, description="Coulomb friction coefficient [-]")
+    k_t_ratio: Annotated[float, _within(0.0, 10.0)] | None = Field(None, description="k_t/k_n [-]")
+    rolling_friction: Friction = Field(0.0, description="rolling friction coefficient [-]")
+    options: dict[Name, Annotated[float | str, AfterValidator(_option)]] = Field(
+        {}, description="options of the method"
+    )
+    pairs: list[PairTable] = Field([], max_length=MOST_PAIRS, description="exceptions for single pairs")
+
+
+class RunTable(Table):
+    """``[run]``."""
+
+    steps_per_contact: Annotated[float, _within(4.0, 1e6, hint="50 is usual")] = Field(
+        50.0, description="steps per contact duration [-]"
+    )
+    until_time: Seconds | None = Field(None, description="end time [s]")
+    until_bounces: Annotated[int, _within(1, 1000)] | None = Field(None, description="number of contacts")
+    dt: Seconds | None = Field(None, description="time step [s]")
+    record_every: Annotated[int, _within(1, 1e6)] = Field(1, description="steps between recorded frames")
+
+
+class CaseTable(Table):
+    """The whole file."""
+
+    title: Text = Field("", description="one line: what the case is")
+    source: Text = Field("", description="one line: where its parameters come from")
+    gravity: Acceleration = Field([0.0, 0.0, 0.0], description="[x, y, z] of gravity [m/s²]")
+    materials: dict[Name, MaterialTable] = Field(min_length=1, description="at least one [materials.NAME]")
+    particles: list[ParticleTable] = Field(
+        min_length=1, max_length=MOST_PARTICLES, description="at least one [[particles]]"
+    )
+    walls: list[WallTable] = Field([], max_length=MOST_WALLS, description="[[walls]]")
+    contact: ContactTable = Field(default_factory=lambda: ContactTable.model_validate({}), description="[contact]")
+    run: RunTable = Field(description="[run] with until_time or until_bounces")
+    tolerances: dict[str, Annotated[float, _above_zero()]] = Field(
+        {}, description="metric = allowed relative difference"
+    )
+    needs: dict[str, bool] = Field({}, description="physics = true or false")
+
+
+_TABLES: dict[str, type[Table]] = {
+    "particles": ParticleTable,
+    "walls": WallTable,
+    "contact": ContactTable,
+    "pairs": PairTable,
+    "run": RunTable,
+}
+
+
+def table_at(path: tuple[str | int, ...]) -> type[Table]:
+    """Return the table whose key or inside ``path`` is: ``("walls", 0, "axis")`` -> `WallTable`."""
+    if path[:1] == ("materials",) and len(path) > 2:
+        return MaterialTable
+    tables = [part for part in path[:-1] if part in _TABLES]
+    return _TABLES[str(tables[-1])] if tables else CaseTable
+
+
+def description(path: tuple[str | int, ...]) -> str:
+    """Return what the key at ``path`` means, with its unit; "" for a key that kncal doesn't know."""
+    while path and isinstance(path[-1], int):
+        path = path[:-1]
+    field = table_at(path).model_fields.get(str(path[-1])) if path else None
+    return (field.description or "") if field is not None else ""
