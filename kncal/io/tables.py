@@ -1,0 +1,130 @@
+"""JSON and CSV files that are whole or not there, and exact in every digit."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import numpy as np
+
+from kncal.errors import InputError, ReadError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+#: A larger JSON file is refused.
+MAX_JSON_BYTES = 256 * 1024**2
+
+
+def write_json(path: Path, data: object) -> None:
+    """Write ``data`` as JSON; a reader finds the old file or the whole new one, also after a power cut.
+
+    Dictionaries (with text keys), sequences, text, numbers, booleans, None, paths, numpy numbers and arrays.
+
+    Raises
+    ------
+    InputError
+        If a value is NaN or infinite, or of a kind that JSON has no form for; the text names the key.
+    """
+    text = json.dumps(_plain(data, ""), indent=2, ensure_ascii=False, allow_nan=False)
+    _replace(path, text + "\n")
+
+
+def read_json(path: Path) -> Any:
+    """Read a JSON file of at most `MAX_JSON_BYTES`.
+
+    Raises
+    ------
+    ReadError
+        If the file is missing, too large, not UTF-8, or not JSON (NaN and Infinity are not); with file and line.
+    """
+
+    def refuse(constant: str) -> NoReturn:
+        raise ReadError(f"{path}: holds {constant}, expected finite numbers")
+
+    try:
+        size = path.stat().st_size
+        if size > MAX_JSON_BYTES:
+            raise ReadError(f"{path}: {size} bytes, expected at most {MAX_JSON_BYTES}")
+        return json.loads(path.read_bytes().decode("utf-8"), parse_constant=refuse)
+    except OSError as error:
+        raise ReadError(f"{path}: cannot be read ({error.strerror}); expected a JSON file") from error
+    except UnicodeDecodeError as error:
+        raise ReadError(f"{path}: byte {error.start} is not UTF-8; expected a JSON file") from error
+    except json.JSONDecodeError as error:
+        place = f"line {error.lineno}, column {error.colno}"
+        raise ReadError(f"{path}, {place}: {error.msg}; expected JSON (is the file cut off?)") from error
+    except RecursionError as error:
+        raise ReadError(f"{path}: nested too deeply; expected a JSON file written by kncal") from error
+
+
+def write_csv(path: Path, frame: pd.DataFrame, units: Mapping[str, str]) -> None:
+    """Write a table; the first line is a comment with the unit of each column, then the names, then the rows.
+
+    Floats get the shortest text that reads back exactly. `pandas.read_csv(path, comment="#")` reads the file.
+
+    Parameters
+    ----------
+    path : Path
+        Replaced as a whole, as by `write_json`.
+    frame : pandas.DataFrame
+    units : mapping
+        Column name -> unit ("-" for a number without one), for every column.
+
+    Raises
+    ------
+    InputError
+        If a column has no unit.
+    """
+    missing = [str(name) for name in frame.columns if name not in units]
+    if missing:
+        raise InputError(f"units: nothing for {', '.join(missing)}; expected a unit for each column ('-' for none)")
+    comment = "# units: " + ", ".join(f"{name} [{units[name]}]" for name in frame.columns)
+    _replace(path, f"{' '.join(comment.split())}\n{frame.to_csv(index=False, lineterminator=chr(10))}")
+
+
+def _plain(value: Any, where: str) -> Any:
+    """Turn numpy values and paths into what `json` knows; ``where`` is the key, for the message."""
+    if isinstance(value, np.generic | np.ndarray):
+        value = value.tolist()
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, float):
+        if not np.isfinite(value):
+            raise InputError(f"{where or 'value'} = {value}: expected a finite number; leave the key out, or use None")
+        return value
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if isinstance(value, Mapping):
+        for key in value:
+            if not isinstance(key, str):
+                raise InputError(f"{where or 'value'}: key {key!r}, expected text")
+        return {str(key): _plain(item, f"{where}.{key}" if where else key) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item, f"{where}[{i}]") for i, item in enumerate(value)]
+    raise InputError(f"{where or 'value'}: {type(value).__name__} has no form in JSON; expected plain data")
+
+
+def _replace(path: Path, text: str) -> None:
+    """Write a temporary file beside ``path``, bring it to the disk, and put it in place in one move."""
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:100]}.", suffix=".part")
+    temporary = Path(name)
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
+            file.write(text)
+            file.flush()
+            os.fchmod(file.fileno(), 0o644)  # mkstemp makes it private; results are for everyone to read
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+    folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(folder)  # without it the move itself may be lost
+    finally:
+        os.close(folder)

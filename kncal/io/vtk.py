@@ -1,0 +1,157 @@
+"""VTK files for ParaView, and meshes of foreign formats."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from kncal.errors import InputError, ReadError
+
+if TYPE_CHECKING:
+    from kncal.trajectory import Trajectory
+
+#: A larger mesh file is refused.
+MAX_BYTES = 1024**3
+
+_PYVISTA_SUFFIXES = (".vtk", ".vtp", ".stl")  # meshio ends the program, or misreads the text form
+
+
+def write_particles(trajectory: Trajectory, folder: Path, every: int = 1) -> Path:
+    """Write one VTP file per frame, and a collection with the true times (frames are not evenly spaced).
+
+    Each file holds the particles as points [m] with ``id`` (from 1), ``radius`` [m], ``velocity`` [m/s],
+    ``spin`` [rad/s] and ``force`` [N].
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    folder : Path
+        Gets ``particles.pvd`` and the folder ``particles``; made if it is not there.
+    every : int
+        Write every n-th frame, beginning with the first.
+
+    Returns
+    -------
+    Path
+        The collection ``particles.pvd``: the file to open in ParaView.
+
+    Raises
+    ------
+    InputError
+        If ``every`` is below 1.
+    """
+    import pyvista
+
+    if every < 1:
+        raise InputError(f"every = {every}: expected a whole number of frames, at least 1")
+    (folder / "particles").mkdir(parents=True, exist_ok=True)
+    entries = []
+    for frame in range(0, trajectory.step.size, every):
+        points = pyvista.PolyData(np.array(trajectory.x[frame], dtype=np.float64))
+        points.point_data["id"] = np.arange(1, len(trajectory.names) + 1)
+        points.point_data["radius"] = trajectory.radius
+        points.point_data["velocity"] = trajectory.v[frame]
+        points.point_data["spin"] = trajectory.spin[frame]
+        points.point_data["force"] = trajectory.force[frame]
+        name = f"particles/{int(trajectory.step[frame]):012d}.vtp"
+        points.save(folder / name)
+        entries.append((float(trajectory.t[frame]), name))
+    return _write_collection(folder / "particles.pvd", entries)
+
+
+def read_mesh(path: Path) -> Any:
+    """Read a mesh or a point cloud: vtk, vtp and stl with pyvista, all else (vtu, msh, ...) with meshio.
+
+    Returns
+    -------
+    pyvista.DataSet
+        With points [as in the file], cells and data arrays.
+
+    Raises
+    ------
+    ReadError
+        If the file is missing, too large, of an unknown format, damaged or without points, or if it is XML with
+        a document type (which can blow up in memory, and which no mesh needs).
+    """
+    import pyvista
+
+    _refuse_unsafe(path)
+    if path.suffix.lower() not in _PYVISTA_SUFFIXES:
+        mesh = _read_with_meshio(path)
+    else:
+        try:
+            with warnings.catch_warnings(), pyvista.VtkErrorCatcher(raise_errors=True):
+                warnings.simplefilter("error", UserWarning)  # pyvista only warns of some damage
+                mesh = pyvista.read(path)
+        except (RuntimeError, ValueError, OSError, TypeError, UserWarning) as error:
+            raise ReadError(f"{path}: cannot be read as VTK ({_first_line(error)})") from error
+    if not mesh.n_points:
+        raise ReadError(f"{path}: holds no points; expected a mesh (is the file cut off?)")
+    return mesh
+
+
+def _read_with_meshio(path: Path) -> Any:
+    import meshio
+    import pyvista
+
+    try:
+        return pyvista.from_meshio(meshio.read(path))
+    except SystemExit as error:  # meshio ends the program where it should raise
+        raise ReadError(f"{path}: meshio cannot read this file (suffix {path.suffix!r})") from error
+    except (
+        meshio.ReadError,
+        ValueError,
+        KeyError,
+        IndexError,
+        OSError,
+        AssertionError,
+        SyntaxError,
+    ) as error:
+        raise ReadError(f"{path}: meshio cannot read this file ({_first_line(error)})") from error
+
+
+def _refuse_unsafe(path: Path) -> None:
+    """Refuse what is dangerous to hand to a reader: huge files, and XML that declares entities."""
+    try:
+        size = path.stat().st_size
+        if size > MAX_BYTES:
+            raise ReadError(f"{path}: {size} bytes, expected at most {MAX_BYTES}")
+        with path.open("rb") as file:
+            start = file.read(64)
+            is_xml = start.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<")
+            # 16- and 32-bit text would hide the words looked for, and no mesh writer uses it.
+            if start[:2] in (b"\xff\xfe", b"\xfe\xff", b"\0<") or (is_xml and b"\0" in start):
+                raise ReadError(f"{path}: 16-bit text, expected XML in UTF-8 or a binary mesh")
+            if is_xml and _holds_doctype(file, start):
+                raise ReadError(f"{path}: XML with a DOCTYPE is refused; expected a plain VTK file without one")
+    except OSError as error:
+        raise ReadError(f"{path}: cannot be read ({error.strerror}); expected a mesh file") from error
+
+
+def _holds_doctype(file: BinaryIO, start: bytes) -> bool:
+    text = start
+    while True:
+        if b"<!DOCTYPE" in text.upper():
+            return True
+        block = file.read(1 << 20)
+        if not block:
+            return False
+        text = text[-16:] + block
+
+
+def _first_line(error: BaseException) -> str:
+    lines = str(error).strip().splitlines()
+    return lines[0][:200] if lines else type(error).__name__
+
+
+def _write_collection(path: Path, entries: list[tuple[float, str]]) -> Path:
+    """Write a ParaView collection of (time [s], file relative to it); pyvista reads but cannot write one."""
+    lines = ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="0.1">', "  <Collection>"]
+    lines += [f'    <DataSet timestep="{time!r}" part="0" file={quoteattr(name)}/>' for time, name in entries]
+    lines += ["  </Collection>", "</VTKFile>", ""]
+    path.write_text("\n".join(lines), encoding="utf-8")
+    return path
