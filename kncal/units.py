@@ -1,0 +1,43 @@
+"""Numbers with units, as people read them: 2.3e-6 m is 2.3 µm."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+_PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G", 12: "T"}
+
+
+def si_prefix(values: ArrayLike, unit: str) -> tuple[float, str]:
+    """Return (factor, label) such that factor*values reads well: 3e-6 and "m" give 1e6 and "µm".
+
+    Chosen for the largest finite value. Zero has no prefix; what is beyond pico and tera keeps these.
+    """
+    finite = np.abs(np.asarray(values, dtype=np.float64))
+    largest = float(finite[np.isfinite(finite)].max(initial=0.0))
+    # + 1e-9: 999.9999999999 µm is 1 mm that lost a bit
+    exponent = 0 if largest == 0.0 else 3 * int(np.floor((np.log10(largest) + 1e-9) / 3.0))
+    exponent = min(max(exponent, min(_PREFIXES)), max(_PREFIXES))
+    return 10.0**-exponent, f"{_PREFIXES[exponent]}{unit}"
+
+
+def quantity(value: float | None, unit: str, digits: int = 5) -> str:
+    """Return a number with its unit and a fitting prefix; "–" for one that is not there; integers in full.
+
+    The unit "%" takes a share (0.05 is 5 %), "" and "–" are numbers without a unit.
+    """
+    if value is None or not np.isfinite(value):
+        return "–"
+    if unit == "%":
+        return f"{100.0 * value:.3g} %"
+    if unit in ("", "–"):
+        return f"{value:,d}" if isinstance(value, int) else f"{value:.{digits}g}"
+    if unit.startswith("rad"):  # nobody speaks of a kilorad
+        return f"{value:.{digits}g} {unit}"
+    factor, label = si_prefix(value, unit)
+    return f"{factor * value:.{digits}g} {label}"
+
+
+def percent(share: float | None) -> str:
+    """Return a share with its sign in percent; "–" for one that is not there."""
+    return "–" if share is None else f"{100.0 * share:+.3g} %"

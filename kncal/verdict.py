@@ -1,0 +1,116 @@
+"""The verdict of a comparison in words: what was compared, whether it holds, what it saves, what to mind."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from kncal.cost import Cost, Speed
+from kncal.metrics import ExactRow, MetricRow
+from kncal.model import Model
+from kncal.units import percent, quantity
+
+
+def sentences(
+    models: tuple[Model, Model],
+    rows: Sequence[MetricRow],
+    exact: Sequence[ExactRow],
+    costs: tuple[Cost, Cost],
+    speed: Speed,
+) -> tuple[str, ...]:
+    """Return the verdict as sentences: the verdict itself, the speed, then notes (caveats, surprises)."""
+    return (_judgement(*models, rows), _speed(costs, speed), *speed.caveats, *_notes(rows, exact))
+
+
+def _judgement(linear: Model, hertz: Model, rows: Sequence[MetricRow]) -> str:
+    scene = hertz.scene
+    laws = ", ".join(dict.fromkeys(c.law for c in hertz.contacts.values())) or hertz.kind
+    who = f"in {scene.name} the linear spring ({_spring(linear)})"
+    judged = [r for r in rows if r.tolerance is not None]
+    failed = [r for r in judged if r.verdict != "ok"]
+    if not judged:
+        return f"Not judged: no tolerance is given; {who} was compared with {laws}, the differences are below."
+    if not failed:
+        nearest = max(judged, key=_use)
+        return (
+            f"Within tolerance: {who} agrees with {laws} in {_all(len(judged))} judged; closest to its"
+            f" limit: {nearest.metric}, {percent(nearest.difference)} where {_allowed(nearest)} is allowed."
+        )
+    texts = [
+        f"{r.metric} by {percent(r.difference)} ({_allowed(r)} allowed)"
+        if r.verdict == "outside"
+        else f"{r.metric} could not be computed ({r.reason})"
+        for r in failed
+    ]
+    how_many = f"{len(failed)} of {len(judged)} metrics judged"
+    return f"Outside tolerance: {who} fails against {laws} in {how_many}: {'; '.join(texts)}."
+
+
+def _spring(model: Model) -> str:
+    stiffness = sorted({c.k for c in model.contacts.values()})
+    if not stiffness:
+        return "no contact"
+    ends = dict.fromkeys((stiffness[0], stiffness[-1]))
+    numbers = " to ".join(quantity(k, "N/m", 4) for k in ends)
+    choice = model.scene.contact
+    how = "prescribed" if choice.k_n is not None else f"by {choice.method}"
+    return f"k_n = {numbers} {how}"
+
+
+def _use(row: MetricRow) -> float:
+    """Share of its tolerance that a row uses up; 0 of 0 is none."""
+    if not row.difference:
+        return 0.0
+    return abs(row.difference) / row.tolerance if row.tolerance else float("inf")
+
+
+def _speed(costs: tuple[Cost, Cost], speed: Speed) -> str:
+    linear, hertz = costs
+    text = f"The linear run took {linear.steps:,} steps, the Hertz run {hertz.steps:,}:"
+    text += f" {_factor(speed.steps, 'steps')}. CPU time: {quantity(linear.cpu_seconds, 's', 3)} against"
+    text += f" {quantity(hertz.cpu_seconds, 's', 3)}"
+    if speed.cpu is None:
+        return f"{text}, too short for a ratio."
+    text += f", {_factor(speed.cpu, 'CPU time')}"
+    if min(linear.runs, hertz.runs) > 1:
+        text += f" (ratio {speed.cpu_low:.2f} to {speed.cpu_high:.2f} over {linear.runs} and {hertz.runs} runs)"
+    return f"{text}."
+
+
+def _factor(ratio: float, what: str) -> str:
+    if abs(ratio - 1.0) < 0.005:
+        return f"the same {what}"
+    word = "fewer" if what == "steps" else "less"
+    return f"{ratio:.2f} times {word} {what}" if ratio > 1.0 else f"{1.0 / ratio:.2f} times more {what}"
+
+
+def _notes(rows: Sequence[MetricRow], exact: Sequence[ExactRow]) -> list[str]:
+    notes = [f"{r.metric}: {r.reason}." for r in rows if r.verdict in ("ok", "outside") and r.reason]
+    judged = any(r.tolerance is not None for r in rows)
+    blurred = [
+        r.metric
+        for r in rows
+        if r.difference is not None
+        and r.numerical is not None
+        and 0.0 < abs(r.difference) <= r.numerical
+        and (r.tolerance is not None or not judged)
+    ]
+    if blurred:
+        notes.append(
+            f"No larger than the predicted discretisation error of the two runs: the difference of"
+            f" {', '.join(blurred)}."
+        )
+    odd = [f"{r.metric} ({r.model})" for r in exact if r.explained is False]
+    if odd:
+        notes.append(
+            f"Further from the exact solution than the predicted discretisation error: {', '.join(odd)}."
+            " Look for a contact that was not resolved before you trust the comparison."
+        )
+    return notes
+
+
+def _all(n: int) -> str:
+    return "the one metric" if n == 1 else f"all {n} metrics"
+
+
+def _allowed(row: MetricRow) -> str:
+    return f"±{100.0 * (row.tolerance or 0.0):.3g} %"
