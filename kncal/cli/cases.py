@@ -1,0 +1,99 @@
+"""``kncal cases``, ``kncal new``, ``kncal needs``, ``kncal doctor``: what there is and what a scene requires."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from kncal.cli import show
+from kncal.errors import InputError
+
+Json = Annotated[bool, Parameter(name="--json", negative="", help="print data for machines")]
+
+
+def cases(*, json: Json = False) -> None:
+    """List the shipped cases."""
+    from kncal.case_file import load_case, shipped_cases
+
+    scenes = [load_case(name) for name in shipped_cases()]
+    if json:
+        show.as_json([{"name": s.name, "title": s.title, "source": s.source} for s in scenes])
+        return
+    show.table(
+        "Shipped cases",
+        ["case", "what it is", "parameters from"],
+        [[s.name, s.title, s.source] for s in scenes],
+        text=(0, 1, 2),
+        fold=True,
+    )
+    show.say("Run one: kncal compare NAME.  Make your own from one: kncal new NAME FOLDER")
+
+
+def new(case: str, folder: Path) -> None:
+    """Copy a shipped CASE to FOLDER as the start of your own.
+
+    Parameters
+    ----------
+    case
+        Name of a shipped case, see `kncal cases`.
+    folder
+        A folder that does not exist yet.
+    """
+    from kncal.case_file import load_case, shipped_cases
+    from kncal.checks import one_of
+    from kncal.resources import folder as resource
+
+    one_of("case", case, shipped_cases())
+    if folder.exists():
+        raise InputError(f"{folder}: exists already; expected a new folder, nothing was changed")
+    folder.mkdir(parents=True)
+    shutil.copyfile(resource("cases") / case / "case.toml", folder / "case.toml")
+    load_case(folder)
+    show.say(f"{folder / 'case.toml'} is yours to edit; then: kncal compare {folder}")
+
+
+def needs(case: str, *, json: Json = False) -> None:
+    """Say which physics CASE requires, and why.
+
+    Parameters
+    ----------
+    case
+        A shipped case's name, a case folder or a case.toml.
+    """
+    from kncal.case_file import load_case
+    from kncal.needs import decide
+
+    frame = decide(load_case(case)).to_frame()
+    if json:
+        show.as_json(frame.to_dict(orient="records"))
+        return
+    show.table(
+        f"What {case} requires",
+        list(frame.columns),
+        [[str(cell) for cell in row] for row in frame.itertuples(index=False)],
+        text=tuple(range(len(frame.columns))),
+        fold=True,
+    )
+    show.say("Overrule kncal in the case file: [needs] tangential = true or false (or rolling)")
+
+
+def doctor(*, json: Json = False) -> int:
+    """Look at this machine: solvers, versions, off-screen pictures, disk; exit code 4 if LIGGGHTS is missing."""
+    from kncal.doctor import examine
+
+    findings = examine()
+    if json:
+        show.as_json([asdict(f) for f in findings])
+    else:
+        show.table(
+            "This machine",
+            ["what", "", "found", "needed for", "what to do"],
+            [[f.name, "ok" if f.ok else "NO", f.found, f.needed_for, "" if f.ok else f.hint] for f in findings],
+            text=(0, 1, 2, 3, 4),
+            fold=True,
+        )
+    return 4 if any(not f.ok and f.name.lower().startswith("liggghts") for f in findings) else 0

@@ -1,0 +1,178 @@
+"""The main job in one place: scene -> models -> rendered folders -> runs -> observations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from kncal.compare import Comparison, RunData
+from kncal.engines.base import Engine, Progress, RunResult
+from kncal.errors import CaseFileError, RunError, SolverMissingError
+from kncal.folder import (
+    open_case_folder,
+    read_manifest,
+    read_model_folder,
+    read_result,
+    write_model_manifest,
+    write_result,
+)
+from kncal.model import KINDS, Model
+from kncal.observe import observe
+from kncal.planning import plan
+from kncal.scene import Scene
+
+#: Called for each model with its kind; returns the progress callback of that run.
+ProgressFor = Callable[[str], Progress | None]
+
+
+def get_engine(name: str) -> Engine:
+    """Return an engine by name.
+
+    Raises
+    ------
+    InputError
+        For an unknown name.
+    """
+    from kncal.checks import one_of
+
+    one_of("engine", name, ("builtin", "liggghts"))
+    if name == "builtin":
+        from kncal.engines.builtin import Builtin
+
+        return Builtin()
+    from kncal.engines.liggghts import Liggghts
+
+    return Liggghts()
+
+
+def render_case(scene: Scene, engine: Engine, out: Path, kinds: Iterable[str] = KINDS) -> Mapping[str, Model]:
+    """Write the case folder: one subfolder with solver input per model, manifests, the case itself.
+
+    Returns the models by kind. Raises `RenderError` and its kin before anything is written where it can.
+    """
+    models = plan(scene, kinds)
+    open_case_folder(scene, out)
+    profile = engine.profile()
+    for kind, model in models.items():
+        folder = out / kind
+        folder.mkdir()
+        engine.render(model, folder)
+        write_model_manifest(model, folder, profile, list(engine.command(model)))
+    return models
+
+
+def run_case(
+    scene: Scene,
+    engine: Engine,
+    out: Path,
+    kinds: Iterable[str] = KINDS,
+    *,
+    timeout: float | None = None,
+    progress_for: ProgressFor | None = None,
+    repeat: int = 1,
+) -> dict[str, RunResult]:
+    """Render and run the models, and stop at the first that does not complete.
+
+    With ``repeat`` > 1 the models are run in turn that many times (A B A B ...), so that their CPU times are comparable
+    on a busy machine; the frames kept are the last run's, the CPU seconds of all stand in ``extra["cpu_samples"]``.
+    Every started run leaves its ``result.json``; the caller looks at the status (or calls `require_completed`).
+    """
+    models = render_case(scene, engine, out, kinds)
+    results: dict[str, RunResult] = {}
+    samples: dict[str, list[float]] = {kind: [] for kind in models}
+    for _ in range(repeat):
+        for kind, model in models.items():
+            progress = progress_for(kind) if progress_for else None
+            result = engine.run(model, out / kind, timeout=timeout, progress=progress)
+            samples[kind].append(result.cpu_seconds)
+            results[kind] = replace(result, extra={**result.extra, "cpu_samples": list(samples[kind])})
+            write_result(results[kind])
+            if result.status != "completed":
+                return results
+    return results
+
+
+def require_completed(results: Iterable[RunResult]) -> None:
+    """Raise `SolverMissingError` or `RunError` with the decisive lines if a run did not complete."""
+    for result in results:
+        if result.status == "completed":
+            continue
+        where = f" (log: {result.log})" if result.log else ""
+        text = f"{result.model} run {result.status.replace('_', ' ')}: {result.message}{where}"
+        raise SolverMissingError(text) if result.status == "not_installed" else RunError(text)
+
+
+def load_run(folder: Path) -> RunData:
+    """Read a completed model's run folder back: scene, model, frames, observations.
+
+    Raises
+    ------
+    ReadError
+        If the folder is not one, or its files are damaged.
+    RunError
+        If the run did not complete.
+    """
+    scene, kind, engine_name = read_model_folder(folder)
+    result = replace(read_result(folder), folder=folder)
+    require_completed([result])
+    model = plan(scene, (kind,))[kind]
+    trajectory = get_engine(engine_name).read(model, folder)
+    return RunData(
+        model=model,
+        result=result,
+        trajectory=trajectory,
+        observations=observe(model, trajectory),
+        cpu_samples=tuple(result.extra.get("cpu_samples", ())),
+    )
+
+
+def load_both(out: Path) -> tuple[RunData, RunData]:
+    """Read the linear and the hertz run of a case's run folder."""
+    missing = [kind for kind in KINDS if not (out / kind).is_dir()]
+    if missing:
+        raise CaseFileError(f"{out}: no {missing[0]} run in it; expected the run folder of a case with both models")
+    return load_run(out / "linear"), load_run(out / "hertz")
+
+
+def complete(data: RunData) -> RunData:
+    """Add the exact motion and metrics of the same model, where they exist, and the predicted discretisation error."""
+    from kncal.truth import exact_metrics, exact_motion, predicted_errors
+
+    motion = exact_motion(data.model)
+    return replace(
+        data,
+        motion=motion,
+        exact=exact_metrics(data.model, motion),
+        predicted=predicted_errors(data.model, data.observations),
+    )
+
+
+def report_on(comparison: Comparison, folder: Path) -> Path:
+    """Write the report of a comparison, with every table that its scene allows; returns the page's path."""
+    import pandas as pd
+
+    from kncal.needs import decide
+    from kncal.overview import error_table, kn_curves, method_table
+    from kncal.planning import pair_choice, pair_of
+    from kncal.report import write_report
+
+    scene = comparison.hertz.model.scene
+    a, b = scene.body_pairs()[0]
+    e_n, _, v_0, _ = pair_choice(scene, a, b)
+    table, curves = pd.DataFrame(), {}
+    if v_0 is not None:
+        law, end, pair = scene.contact.law, scene.contact.end, pair_of(a, b)
+        table = method_table(pair, v_0=v_0, e_n=e_n, law=law, end=end, options=scene.contact.method_options)
+        curves = kn_curves(pair, v_0=v_0, e_n=e_n, law=law, end=end)
+    models = {"linear": comparison.linear.model, "hertz": comparison.hertz.model}
+    runs = (comparison.linear, comparison.hertz)
+    return write_report(
+        comparison,
+        folder,
+        calibration_table=table,
+        kn_curves=curves,
+        error_table=error_table(models),
+        needs_table=decide(scene).to_frame(),
+        provenance={r.model.kind: read_manifest(r.result.folder) for r in runs},
+    )

@@ -1,0 +1,200 @@
+"""The command line as a user meets it: exit codes, data for machines, clear complaints."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from kncal.cli import main
+
+KN = [
+    "kn",
+    "--young",
+    "70e9",
+    "--poisson",
+    "0.22",
+    "--density",
+    "2500",
+    "--radius",
+    "1e-3",
+    "--v0",
+    "0.5",
+    "--en",
+    "0.9",
+]
+
+
+def kncal(capsys, *arguments):
+    with pytest.raises(SystemExit) as stop:
+        main([str(a) for a in arguments])
+    out, err = capsys.readouterr()
+    return stop.value.code, out, err
+
+
+def test_help_lists_every_command(capsys):
+    code, out, _ = kncal(capsys, "--help")
+    assert code == 0
+    for name in ["doctor", "laws", "kn", "collide", "cases", "new", "needs", "render", "run", "compare", "report"]:
+        assert name in out
+
+
+def test_kn_json_agrees_with_the_api(capsys):
+    from kncal import Material, calibrate, pair
+
+    code, out, _ = kncal(capsys, *KN, "--json")
+    data = json.loads(out)
+    assert code == 0
+    rows = {row["method"]: row for row in data["methods"]}
+    contact = pair(Material(young=70e9, poisson=0.22, density=2500.0), 1e-3)
+    for method in ("mean_overlap", "max_overlap", "contact_duration", "strain_energy"):
+        assert rows[method]["k_n"] == calibrate(contact, v_0=0.5, e_n=0.9, method=method).k_n
+    assert "problem" in rows["contact_time"]
+    assert "peratomtypepair 2" in data["liggghts"]
+
+
+def test_kn_table_names_every_method(capsys):
+    from kncal.methods import METHODS
+
+    code, out, _ = kncal(capsys, *KN)
+    assert code == 0
+    assert all(name in out for name in METHODS)
+
+
+def test_kn_of_a_case(capsys):
+    code, out, _ = kncal(capsys, "kn", "wall_impact", "--json")
+    assert code == 0
+    assert json.loads(out)["case"] == "wall_impact"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (
+            ["kn", "--young", "70", "--density", "2500", "--radius", "1e-3", "--v0", "1", "--en", "0.9"],
+            "70 GPa is 70e9",
+        ),
+        ([*KN[:-1], "1.2"], "e_n"),
+        (["kn", "--young", "70e9"], "--density"),
+        (["kn", "no_such_case"], "no_such_case"),
+        (["kn", "wall_impact", "--young", "70e9"], "one or the other"),
+        (["compare", "wall_inpact"], "wall_impact"),
+        (["run", "wall_impact", "--engine", "mfix"], "mfix"),
+        (["frobnicate"], "frobnicate"),
+        ([*KN, "--against", "wall", "--radius-2", "1e-3"], "flat"),
+        (["report", "nowhere"], "nowhere"),
+    ],
+)
+def test_bad_usage_is_exit_code_2_and_says_what(capsys, arguments, words):
+    code, out, err = kncal(capsys, *arguments)
+    assert code == 2
+    assert words in out + err
+    assert "Traceback" not in out + err
+
+
+def test_compare_writes_a_report_and_exits_0(capsys, tmp_path):
+    out_dir = tmp_path / "with space"
+    code, out, _ = kncal(capsys, "compare", "wall_impact", "--engine", "builtin", "--out", out_dir, "--json")
+    data = json.loads(out)
+    assert code == 0
+    assert data["within"] is True
+    assert (out_dir / "report" / "index.html").is_file()
+    for kind in ("linear", "hertz"):
+        assert json.loads((out_dir / kind / "result.json").read_text())["status"] == "completed"
+        manifest = json.loads((out_dir / kind / "manifest.json").read_text())
+        assert manifest["model"] == kind
+        assert len(manifest["case_sha256"]) == 64
+    # two run folders, and the report again
+    code, out, _ = kncal(capsys, "compare", out_dir / "linear", out_dir / "hertz", "--json")
+    assert code == 0
+    assert json.loads(out)["rows"] == data["rows"]
+    code, out, _ = kncal(capsys, "report", out_dir, "--out", tmp_path / "again")
+    assert code == 0
+    assert (tmp_path / "again" / "index.html").is_file()
+
+
+def test_compare_outside_a_tolerance_is_exit_code_1(capsys, tmp_path):
+    code, *_ = kncal(capsys, "new", "wall_impact", tmp_path / "mine")
+    assert code == 0
+    case = tmp_path / "mine" / "case.toml"
+    text = case.read_text().split("[tolerances]")[0] + "[tolerances]\ndelta_max = 0.0001\n"
+    case.write_text(text)
+    code, out, _ = kncal(capsys, "compare", case, "--engine", "builtin", "--out", tmp_path / "run")
+    assert code == 1
+    assert "outside" in out.lower()
+
+
+def test_tables_and_paraview_frames_of_a_run(capsys, tmp_path):
+    import pandas as pd
+    import pyvista
+
+    arguments = ("--engine", "builtin", "--out", tmp_path, "--model", "hertz", "--paraview", "--json")
+    code, out, _ = kncal(capsys, "run", "head_on_collision", *arguments)
+    assert code == 0
+    metrics = json.loads(out)["hertz"]["metrics"]
+    contacts = pd.read_csv(tmp_path / "hertz" / "contacts.csv", comment="#")
+    assert contacts["delta_max"][0] == pytest.approx(metrics["delta_max"], rel=1e-12)
+    overlaps = pd.read_csv(tmp_path / "hertz" / "overlaps.csv", comment="#")
+    assert overlaps["delta"].max() == pytest.approx(metrics["delta_max"], rel=1e-2)
+    reader = pyvista.get_reader(tmp_path / "hertz" / "paraview" / "particles.pvd")
+    assert len(reader.time_values) == len(overlaps)
+    assert reader.time_values[-1] == pytest.approx(overlaps["t"].iloc[-1], rel=1e-9)
+
+
+def test_second_run_moves_the_first_aside(capsys, tmp_path):
+    for _ in range(3):
+        code, *_ = kncal(capsys, "run", "wall_impact", "--engine", "builtin", "--out", tmp_path, "--model", "linear")
+        assert code == 0
+    assert (tmp_path / "attempt-1" / "linear" / "result.json").is_file()
+    assert (tmp_path / "attempt-2" / "linear" / "result.json").is_file()
+    assert not (tmp_path / "attempt-2" / "attempt-1").exists()
+
+
+def test_a_foreign_folder_is_left_alone(capsys, tmp_path):
+    (tmp_path / "thesis.tex").write_text("precious")
+    code, _, err = kncal(capsys, "render", "wall_impact", "--out", tmp_path)
+    assert code == 2
+    assert "nothing was changed" in err
+    assert [p.name for p in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_changed_case_is_noticed(capsys, tmp_path):
+    kncal(capsys, "run", "wall_impact", "--engine", "builtin", "--out", tmp_path)
+    with (tmp_path / "case.toml").open("a") as case:
+        case.write("# touched\n")
+    code, _, err = kncal(capsys, "report", tmp_path)
+    assert code == 2
+    assert "changed" in err
+
+
+def test_missing_solver_is_exit_code_4(capsys, tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    code, _, err = kncal(capsys, "run", "wall_impact", "--out", tmp_path / "run")
+    assert code == 4
+    assert "apt-get install liggghts" in err
+
+
+@pytest.mark.solver
+def test_timed_out_solver_is_exit_code_3(capsys, tmp_path):
+    kncal(capsys, "new", "falling_particle", tmp_path / "long")
+    case = tmp_path / "long" / "case.toml"
+    case.write_text(case.read_text().replace("until_bounces = 3", "until_time = 1000.0"))
+    code, _, err = kncal(capsys, "run", case, "--out", tmp_path / "run", "--timeout", "2", "--model", "linear")
+    assert code == 3
+    assert "timed out" in err
+    assert json.loads((tmp_path / "run" / "linear" / "result.json").read_text())["status"] == "timed_out"
+
+
+def test_collide_and_laws_and_needs_and_cases(capsys, tmp_path):
+    code, out, _ = kncal(capsys, "collide", *KN[1:], "--out", tmp_path / "one.svg", "--json")
+    assert code == 0
+    assert json.loads(out)["picture"].endswith("one.svg")
+    for command in (["laws"], ["cases"], ["needs", "oblique_impact"], ["doctor"]):
+        code, out, _ = kncal(capsys, *command, "--json")
+        assert code == 0, command
+        assert json.loads(out)
+
+
+def test_python_m_kncal_and_version():
+    done = subprocess.run([sys.executable, "-m", "kncal", "--version"], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "0.1.0"
