@@ -1,0 +1,104 @@
+"""The engine builtin: the small integrator in this process; runs wherever Python runs, for a few bodies."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+import time
+from pathlib import Path
+
+from kncal import __version__
+from kncal.engines.base import Profile, Progress, RunResult
+from kncal.errors import KncalError, RenderError
+from kncal.integrator import check, integrate
+from kncal.io.liggghts_dump import read_trajectory, write_trajectory
+from kncal.model import Model
+from kncal.trajectory import Trajectory
+
+SCRIPT, FRAMES = "Allrun", "particles.dump"
+
+
+class _TimeoutError(Exception):
+    """The time given to a run is over."""
+
+
+class Builtin:
+    """kncal's own integrator: velocity Verlet as in LIGGGHTS, spheres and plane walls, no rolling friction."""
+
+    name = "builtin"
+
+    def profile(self) -> Profile:
+        """Always there: the program is the Python that runs kncal."""
+        return Profile(engine=self.name, program=Path(sys.executable), version=__version__)
+
+    def command(self, model: Model) -> tuple[str, ...]:
+        """Return the command that repeats by hand, in the run's folder, what `run` does in this process."""
+        return ("kncal", "run", "../case.toml", "--engine", self.name, "--model", model.kind, "--out", "by-hand")
+
+    def render(self, model: Model, folder: Path) -> None:
+        """Write ``Allrun`` into ``folder``; there is no other input than the case file.
+
+        Raises
+        ------
+        RenderError
+            If the model asks for something that the integrator does not have; nothing is written.
+        """
+        check(model)
+        if not (folder.is_dir() and model.kind in ("linear", "hertz")):
+            raise RenderError(f"{folder}: expected a folder, and a model 'linear' or 'hertz', not {model.kind!r}")
+        script = folder / SCRIPT
+        command = shlex.join(self.command(model))
+        script.write_text(
+            f"#!/bin/sh\n# Repeats this run by hand; frames go to by-hand/{model.kind}/{FRAMES}.\nset -eu\n"
+            f'cd -- "$(dirname -- "$0")"\nexec {command}\n',
+            encoding="ascii",
+        )
+        script.chmod(0o755)
+
+    def run(
+        self, model: Model, folder: Path, *, timeout: float | None = None, progress: Progress | None = None
+    ) -> RunResult:
+        """Integrate the model and write its frames; never raises for a failed run, the status says so."""
+        started, cpu_started = time.monotonic(), time.process_time()
+
+        def on_steps(done: int, total: int) -> None:
+            if progress is not None:
+                progress(done, total)
+            if timeout is not None and time.monotonic() - started > timeout:
+                raise _TimeoutError(f"stopped at step {done} of {total}: not done within {timeout:g} s")
+
+        status, message = "completed", ""
+        try:
+            (folder / FRAMES).unlink(missing_ok=True)
+            trajectory = integrate(model, on_steps)
+            write_trajectory(folder / FRAMES, trajectory, range(1, len(trajectory.names) + 1))
+        except _TimeoutError as stop:
+            status, message = "timed_out", str(stop)
+        except KeyboardInterrupt:
+            status, message = "interrupted", "interrupted by the user"
+        except (KncalError, OSError) as error:
+            status, message = "failed", str(error)
+        return RunResult(
+            status=status,
+            engine=self.name,
+            model=model.kind,
+            folder=folder,
+            steps=model.n_steps,
+            dt=model.dt,
+            cpu_seconds=time.process_time() - cpu_started,
+            wall_seconds=time.monotonic() - started,
+            version=__version__,
+            message=message,
+        )
+
+    def read(self, model: Model, folder: Path) -> Trajectory:
+        """Read the recorded frames of a completed run.
+
+        Raises
+        ------
+        ReadError
+            If the frames are missing, truncated or not those of the model's particles.
+        """
+        particles = model.scene.particles
+        names = tuple(p.name for p in particles)
+        return read_trajectory(folder / FRAMES, names, [p.radius for p in particles], model.dt)
