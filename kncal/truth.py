@@ -10,6 +10,7 @@ from kncal.ballistics import first_touch
 from kncal.closed_forms import gross_sliding, slip_end
 from kncal.contact.registry import get_law
 from kncal.exact import ExactSolution, solve
+from kncal.material import sphere_mass
 from kncal.model import Model
 from kncal.needs import decide
 from kncal.observe import Observations, observe
@@ -77,6 +78,9 @@ def exact_trajectory(model: Model, motion: ExactSolution) -> Trajectory:
         times.append(np.linspace(start - margin, end + margin, _FRAMES))
     t = np.unique(np.clip(np.concatenate(times), 0.0, motion.t_end))
     x, v = motion.at(t)
+    # Observations take the acceleration of free flight from the force on a free particle: its weight.
+    mass = np.array([float(sphere_mass(p.material, p.radius)) for p in model.scene.particles])
+    weight = mass[:, None] * np.asarray(model.scene.gravity)
     return Trajectory(
         names=motion.names,
         step=np.arange(t.size),
@@ -84,7 +88,7 @@ def exact_trajectory(model: Model, motion: ExactSolution) -> Trajectory:
         x=x,
         v=v,
         spin=np.zeros_like(x),
-        force=np.zeros_like(x),
+        force=np.broadcast_to(weight, x.shape),
         radius=np.array([p.radius for p in model.scene.particles]),
     )
 

@@ -97,7 +97,11 @@ def test_predicted_error_of_a_damped_contact_is_first_order(law, end):
 def test_predicted_error_of_an_elastic_contact_is_of_higher_order(law):
     coarse, fine = predict_error(law, 1.0, 25), predict_error(law, 1.0, 100)
     assert math.log(coarse.worst["e_n"] / fine.worst["e_n"]) / math.log(4) > 1.8
-    assert fine.worst["e_n"] < 1e-5
+    if law == "linear":
+        # The discrete invariant v² - omega² delta (v dt - delta) bounds the error of e_n by (pi/N)²/8.
+        for predicted in (coarse, fine):
+            bound = (math.pi / (predicted.steps_per_contact - 0.5)) ** 2 / 8
+            assert 0.5 * bound < predicted.worst["e_n"] <= 1.01 * bound
 
 
 def test_predicted_error_agrees_with_published_error_table():
@@ -110,7 +114,8 @@ def test_predicted_error_agrees_with_published_error_table():
     ):
         predicted = predict_error("linear", e, n)
         assert predicted.mean["delta_max"] == pytest.approx(mean_max + (math.pi / n) ** 2 / 24, rel=0.05)
-        assert predicted.worst["e_n"] * e == pytest.approx(worst_e, rel=0.6)
+        # the published runs last a whole number of steps; the prediction also looks half a step to either side
+        assert worst_e <= predicted.worst["e_n"] * e * 1.02 <= 2.1 * worst_e
         if mean_e is not None:
             assert predicted.mean["e_n"] * e == pytest.approx(mean_e, rel=0.6)
 
