@@ -139,9 +139,10 @@ def advise_time_step(
 
 @dataclass(frozen=True, kw_only=True)
 class PredictedError:
-    """What velocity Verlet does to one impact at N steps per contact, over the sub-step phases of first touch.
+    """What velocity Verlet does to one impact at N steps per contact.
 
-    N is varied by half a step to either side. Relative deviations from the exact contact: ``mean`` over the phases, and ``worst`` (largest absolute value).
+    Relative deviations from the exact contact over the sub-step phases of first touch, N varied by half a step to
+    either side: ``mean`` over them, and ``worst`` (largest absolute value).
 
     Attributes
     ----------

@@ -1,0 +1,113 @@
+"""One normal impact of any contact law, without dimensions: what the law does between touch and separation.
+
+Units of every law, and the meaning of C, are in `kncal.contact.base`. With a pair's L and T: delta_max = x_max L,
+t_c = tau_c T, delta_mean = x_mean L, the overlap at the end of the contact is x_end L.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kncal.checks import Array, in_range, one_of
+from kncal.contact.base import ENDS, ContactLaw
+from kncal.contact.registry import get_law
+from kncal.errors import InputError
+from kncal.material import FloatOrArray, plain
+
+
+@dataclass(frozen=True)
+class DimensionlessImpact:
+    """The impact of one law; floats for a scalar e_n, else arrays of its shape.
+
+    Attributes
+    ----------
+    law : the law's name
+    e_n : normal coefficient of restitution [-]
+    end : contact end, "overlap" or "force"
+    C : damping number (2 zeta for linear, 1 - e_n^2 for walton_braun)
+    x_max : largest overlap
+    tau_c : duration of the contact
+    x_mean : time mean of the overlap over the contact
+    x_end : overlap at the end of the contact (0 for end = "overlap")
+    """
+
+    law: str
+    e_n: FloatOrArray
+    end: str
+    C: FloatOrArray
+    x_max: FloatOrArray
+    tau_c: FloatOrArray
+    x_mean: FloatOrArray
+    x_end: FloatOrArray
+
+
+@dataclass(frozen=True)
+class ImpactPath:
+    """One impact over time, from touch (tau = 0) to the end of the contact; arrays of shape (n,)."""
+
+    law: str
+    e_n: float
+    end: str
+    C: float
+    tau: Array
+    x: Array
+    x_dot: Array
+    force: Array
+
+
+def dimensionless_impact(law: str | ContactLaw, e_n: ArrayLike, end: str = "overlap") -> DimensionlessImpact:
+    """Solve the dimensionless impact exactly: relative error below 1e-10 for 0.01 <= e_n <= 1.
+
+    Parameters
+    ----------
+    law : registry name, or a law object of your own (for instance `kncal.contact.polar.HertzDashpot`)
+    e_n : float or array
+        Normal coefficient of restitution in (0, 1]; at least 1e-3 where the law has no closed form, exactly 1 for
+        "hertz".
+    end : "overlap" (the contact ends when the overlap returns to zero) or "force" (when the force does)
+
+    Raises
+    ------
+    InputError
+        If the law or the end is unknown, or an e_n is out of range.
+    """
+    chosen = get_law(law)
+    end = one_of("end", end, ENDS)
+    e = _restitution(chosen, e_n, end)
+    found = chosen.impact(e.ravel(), end)
+    fields = (found.C, found.x_max, found.tau_c, found.x_mean, found.x_end)
+    C, x_max, tau_c, x_mean, x_end = (plain(np.asarray(field).reshape(e.shape)) for field in fields)
+    return DimensionlessImpact(chosen.name, plain(e), end, C, x_max, tau_c, x_mean, x_end)
+
+
+def impact_path(law: str | ContactLaw, e_n: float, end: str = "overlap", n: int = 400) -> ImpactPath:
+    """Time series of one impact, at ``n`` uniform times; closed form or DOP853 at rtol 1e-12.
+
+    Raises
+    ------
+    InputError
+        As `dimensionless_impact`; also if e_n is not a single number or n is not an integer of at least 2.
+    """
+    if np.ndim(e_n) != 0:
+        raise InputError(f"e_n has shape {np.shape(e_n)}: expected a single number")
+    if isinstance(n, bool) or not isinstance(n, (int, np.integer)) or n < 2:
+        raise InputError(f"n = {n!r}: expected an integer of at least 2")
+    chosen = get_law(law)
+    impact = dimensionless_impact(chosen, e_n, end)
+    C, e = float(impact.C), float(impact.e_n)
+    tau = np.linspace(0.0, float(impact.tau_c), n)
+    x, x_dot = chosen.motion(C, e, tau)
+    return ImpactPath(chosen.name, e, end, C, tau, x, x_dot, chosen.force(x, x_dot, C))
+
+
+def _restitution(law: ContactLaw, e_n: ArrayLike, end: str) -> Array:
+    hint = "a restitution is rebound speed over impact speed; e_n = 0 has no finite solution"
+    e = in_range("e_n", e_n, 0.0, 1.0, low_open=True, hint=hint)
+    lowest = law.e_min(end)
+    if lowest > 0.0:
+        hint = f"the smallest supported e_n of law {law.name!r} with end {end!r} is {lowest:g}"
+        in_range("e_n", e, lowest, 1.0, hint=hint)
+    return e
