@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -55,7 +55,7 @@ class Calibration:
     delta_end : overlap at which the linear contact ends [m] (0 for the overlap end)
     reference : ReferenceContact, the same numbers of the reference law
     warnings : what limits the validity of this result
-    pair, v_0, e_n, law, method, end : the inputs
+    pair, v_0, e_n, law, method, end : the inputs; ``contact_law`` is the law itself
     """
 
     k_n: FloatOrArray
@@ -73,6 +73,7 @@ class Calibration:
     law: str
     method: str
     end: str
+    contact_law: ContactLaw = field(repr=False)
 
     @property
     def gamma_n(self) -> FloatOrArray:
@@ -197,6 +198,7 @@ def calibrate(
         law=contact_law.name,
         method=chosen.name,
         end=end,
+        contact_law=contact_law,
     )
     return replace(calibration, warnings=check_validity(calibration, contact_law, linear))
 

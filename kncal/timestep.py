@@ -119,7 +119,7 @@ def advise_time_step(
     """
     n = float(in_range("steps_per_contact", steps_per_contact, 1.0, 1e7))
     c, pair, reference = calibration, calibration.pair, calibration.reference
-    law = get_law(c.law)
+    law = c.contact_law
     if law.stiffness_exponent > 1.0:
         tangent = np.asarray(1.5 * pair.k_h * np.sqrt(reference.delta_max))
         p = law.damping_exponent or 0.0
@@ -158,7 +158,9 @@ class PredictedError:
 
 
 @lru_cache(maxsize=512)
-def predict_error(law: str, e_n: float, steps_per_contact: float = 50.0, end: str = "overlap") -> PredictedError:
+def predict_error(
+    law: str | ContactLaw, e_n: float, steps_per_contact: float = 50.0, end: str = "overlap"
+) -> PredictedError:
     """Predict the discretisation error of restitution, duration and overlaps at N steps per contact.
 
     The iteration of LIGGGHTS, LAMMPS and MFIX's EULER (velocity Verlet, damping from half-step velocities) is
@@ -167,7 +169,7 @@ def predict_error(law: str, e_n: float, steps_per_contact: float = 50.0, end: st
 
     Parameters
     ----------
-    law : name of a contact law with a dashpot or none ("linear", "hertz", "tsuji", "kuwabara_kono", "hunt_crossley")
+    law : a contact law without history, or its name (all but "walton_braun")
     e_n : restitution, one number
     steps_per_contact : N >= 3
     end : contact end

@@ -78,6 +78,17 @@ def test_advice_means_the_same_n_for_both(law):
     assert advice.speed_up == pytest.approx(c.t_c / c.reference.t_c, rel=1e-14)
 
 
+def test_own_law_from_calibration_to_prediction():
+    from kncal.contact.polar import HertzDashpot
+    from kncal.contact.registry import LAWS
+
+    own = HertzDashpot(name="mine", damping_exponent=0.5)  # Kuwabara–Kono by another name
+    c, known = (calibrate(PAIR, v_0=0.5, e_n=0.8, law=law) for law in (own, "kuwabara_kono"))
+    assert c.k_n == pytest.approx(known.k_n, rel=1e-12)
+    assert advise_time_step(c).hertz_limit == pytest.approx(advise_time_step(known).hertz_limit, rel=1e-12)
+    assert predict_error(own, 0.8).worst == pytest.approx(predict_error(LAWS["kuwabara_kono"], 0.8).worst, rel=1e-9)
+
+
 def test_duration_method_buys_no_larger_step():
     c = calibrate(PAIR, v_0=0.5, e_n=0.8, method="contact_duration")
     assert advise_time_step(c).speed_up == pytest.approx(1.0, rel=1e-10)
