@@ -9,6 +9,7 @@ import os
 import shutil
 import signal
 import subprocess
+import tempfile
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -123,9 +124,12 @@ def run_process(
         raise InputError(f"cwd = {cwd}: not a folder")
     if timeout is not None:
         positive("timeout", timeout, unit="s")
-    environment = solver_environment() if env is None else dict(env)
     begin = time.monotonic()
     descriptor = _open_log(log)
+    session = tempfile.TemporaryDirectory(prefix="kncal-", ignore_cleanup_errors=True)
+    # Isolated programs of one rank share the name of Open MPI's session folder: the first that ends would remove it
+    # under another that is just starting.
+    environment = {**(solver_environment() if env is None else env), "OMPI_MCA_orte_tmpdir_base": session.name}
     try:
         output = _Output(descriptor, on_line)
         child = _start(command, cwd, environment, descriptor)
@@ -136,6 +140,7 @@ def run_process(
         output.finish()
     finally:
         os.close(descriptor)
+        session.cleanup()
     if code == _NOT_FOUND:
         status = "not_installed"
     number = -code if code < 0 else None

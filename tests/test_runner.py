@@ -117,6 +117,20 @@ def test_liggghts_is_the_only_process(run, tmp_path: Path) -> None:
 
 
 @pytest.mark.solver
+def test_each_run_has_its_own_mpi_session_folder(run, tmp_path: Path) -> None:
+    """One-rank programs share the folder's name: one that ended would remove it under another that starts."""
+    deck = tmp_path / "in.look"
+    deck.write_text('shell env > seen\nprint "done"\n')  # a deck of the test's own: kncal's have no shell
+    bases = []
+    for _ in range(2):
+        assert run(("liggghts", "-in", "in.look", "-log", "none")).returncode == 0
+        seen = dict(line.split("=", 1) for line in (tmp_path / "seen").read_text().splitlines() if "=" in line)
+        bases.append(seen["OMPI_MCA_orte_tmpdir_base"])
+    assert len(set(bases)) == 2
+    assert not any(Path(base).exists() for base in bases)
+
+
+@pytest.mark.solver
 def test_timeout_of_liggghts(run, tmp_path: Path) -> None:
     (tmp_path / "in.wall").write_text(wall_deck(steps=2_000_000_000, velocity=0.0, thermo=200_000))
     result = run(LIGGGHTS, timeout=1.5)
@@ -329,8 +343,9 @@ def test_environment_is_short_and_ours(monkeypatch: pytest.MonkeyPatch, run) -> 
     monkeypatch.setenv("TMPDIR", "/no/such/folder")
     names = {line.partition("=")[0] for line in run(("env",)).last_lines}
     ours = solver_environment()
-    assert names == set(ours)
+    assert names == {*ours, "OMPI_MCA_orte_tmpdir_base"}
     assert names <= {
+        "OMPI_MCA_orte_tmpdir_base",
         "PATH", "HOME", "TMPDIR", "LC_ALL", "OMP_NUM_THREADS", "WM_PROJECT_DIR",
         "OMPI_MCA_ess_singleton_isolated", "OMPI_ALLOW_RUN_AS_ROOT", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM",
     }  # fmt: skip
