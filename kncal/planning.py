@@ -210,6 +210,9 @@ def _contact(scene: Scene, a: Particle, b: Particle | Wall, kind: str) -> PairCo
             t_c, delta_max = _resting_time(scene, a, b, both), None
         else:
             t_c, delta_max = float(calibration.reference.t_c), float(calibration.reference.delta_max)
+            if initial_overlap(a, b) > delta_max:
+                # pressed together harder than an impact at v_0 would: stiffer, so shorter
+                t_c = min(t_c, _resting_time(scene, a, b, both))
         k_t = 8.0 * G_eff * math.sqrt(R_eff)
     return PairContact(
         law=law,
