@@ -8,7 +8,7 @@ from pathlib import Path
 
 from kncal.compare import Comparison, RunData
 from kncal.engines.base import Engine, Progress, RunResult
-from kncal.errors import CaseFileError, RunError, SolverMissingError
+from kncal.errors import CaseFileError, InputError, RunError, SolverMissingError
 from kncal.folder import (
     open_case_folder,
     read_manifest,
@@ -21,6 +21,9 @@ from kncal.model import KINDS, Model
 from kncal.observe import observe
 from kncal.planning import plan
 from kncal.scene import Scene
+
+#: Engines by name; liggghts-hooke lets LIGGGHTS find the stiffness itself (cases with method strain_energy only).
+ENGINES = ("liggghts", "builtin", "liggghts-hooke")
 
 #: Called for each model with its kind; returns the progress callback of that run.
 ProgressFor = Callable[[str], Progress | None]
@@ -36,14 +39,14 @@ def get_engine(name: str) -> Engine:
     """
     from kncal.checks import one_of
 
-    one_of("engine", name, ("builtin", "liggghts"))
+    one_of("engine", name, ENGINES)
     if name == "builtin":
         from kncal.engines.builtin import Builtin
 
         return Builtin()
     from kncal.engines.liggghts import Liggghts
 
-    return Liggghts()
+    return Liggghts("hooke" if name == "liggghts-hooke" else "hooke/stiffness")
 
 
 def render_case(scene: Scene, engine: Engine, out: Path, kinds: Iterable[str] = KINDS) -> Mapping[str, Model]:
@@ -98,7 +101,7 @@ def require_completed(results: Iterable[RunResult]) -> None:
     for result in results:
         if result.status == "completed":
             continue
-        where = f" (log: {result.log})" if result.log else ""
+        where = f" (log: {result.log})" if result.log and str(result.log) not in result.message else ""
         text = f"{result.model} run {result.status.replace('_', ' ')}: {result.message}{where}"
         raise SolverMissingError(text) if result.status == "not_installed" else RunError(text)
 
@@ -133,6 +136,24 @@ def load_both(out: Path) -> tuple[RunData, RunData]:
     if missing:
         raise CaseFileError(f"{out}: no {missing[0]} run in it; expected the run folder of a case with both models")
     return load_run(out / "linear"), load_run(out / "hertz")
+
+
+def load_pair(linear: Path, hertz: Path) -> tuple[RunData, RunData]:
+    """Read a linear and a Hertz run from two folders.
+
+    Raises
+    ------
+    InputError
+        If one of them is of the other model.
+    """
+    runs = load_run(linear), load_run(hertz)
+    for data, kind in zip(runs, KINDS, strict=True):
+        if data.model.kind != kind:
+            raise InputError(
+                f"{data.result.folder} is a {data.model.kind} run: expected the folder of the linear run, then that of "
+                "the Hertz run"
+            )
+    return runs
 
 
 def complete(data: RunData) -> RunData:

@@ -108,6 +108,9 @@ def test_compare_writes_a_report_and_exits_0(capsys, tmp_path):
     code, out, _ = kncal(capsys, "compare", out_dir / "linear", out_dir / "hertz", "--json")
     assert code == 0
     assert json.loads(out)["rows"] == data["rows"]
+    code, _, err = kncal(capsys, "compare", out_dir / "hertz", out_dir / "linear")
+    assert code == 2
+    assert "is a hertz run" in err
     code, out, _ = kncal(capsys, "report", out_dir, "--out", tmp_path / "again")
     assert code == 0
     assert (tmp_path / "again" / "index.html").is_file()

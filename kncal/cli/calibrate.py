@@ -111,13 +111,12 @@ def _kn_case(case: str, options: dict[str, Any], steps: float, *, json: bool) ->
     from kncal.planning import pair_choice, pair_of
 
     scene = load_case(case)
-    result = {}
+    result: dict[str, dict[str, Any]] = {}
     for a, b in scene.body_pairs():
         e_n, _, v_0, k_n = pair_choice(scene, a, b)
         if v_0 is None:
-            raise InputError(
-                f"{a.name}–{b.name}: k_n = {k_n} is prescribed and nothing moves; no speed to calibrate at"
-            )
+            result[f"{a.name}–{b.name}"] = {"k_n_prescribed": k_n, "methods": []}
+            continue
         merged = options | dict(scene.contact.method_options)
         contact = scene.contact
         result[f"{a.name}–{b.name}"] = _kn_data(pair_of(a, b), v_0, e_n, contact.law, contact.end, merged, steps) | {
@@ -127,10 +126,16 @@ def _kn_case(case: str, options: dict[str, Any], steps: float, *, json: bool) ->
         show.as_json({"case": scene.name, "method": scene.contact.method, "pairs": result})
         return
     for name, data in result.items():
-        _kn_print(name, data)
+        if data["methods"]:
+            _kn_print(name, data)
+        else:
+            show.say(
+                f"{name}: nothing moves towards anything, so there is no speed to calibrate at (contact.v_0 sets one)"
+            )
         if data["k_n_prescribed"] is not None:
-            show.say(f"The case prescribes k_n = {show.quantity(data['k_n_prescribed'], 'N/m')} for this pair.")
-    show.say(f"The case uses the method {scene.contact.method}.")
+            show.say(f"{name}: the case prescribes k_n = {show.quantity(data['k_n_prescribed'], 'N/m')}")
+        else:
+            show.say(f"{name}: the case uses the method {scene.contact.method}")
 
 
 def _kn_data(

@@ -17,8 +17,11 @@ if TYPE_CHECKING:
 
 Json = Annotated[bool, Parameter(name="--json", negative="", help="print data for machines")]
 EngineName = Annotated[
-    Literal["liggghts", "builtin"],
-    Parameter(name="--engine", help="liggghts, or builtin: needs nothing but Python, few bodies"),
+    Literal["liggghts", "builtin", "liggghts-hooke"],
+    Parameter(
+        name="--engine",
+        help="liggghts; builtin: only Python, few bodies; liggghts-hooke: LIGGGHTS' own strain-energy spring",
+    ),
 ]
 Out = Annotated[Path | None, Parameter(name="--out", help="run folder; default runs/<case> here")]
 ModelChoice = Annotated[
@@ -121,10 +124,10 @@ def compare(
         The folder of the Hertz run, to compare two runs that exist already.
     """
     from kncal.compare import compare as compare_runs
-    from kncal.workflow import complete, load_both, load_run
+    from kncal.workflow import complete, load_both, load_pair
 
     if second is not None:
-        linear, hertz = load_run(Path(first)), load_run(second)
+        linear, hertz = load_pair(Path(first), second)
         comparison = compare_runs(complete(linear), complete(hertz))
         where = None
     else:
