@@ -1,0 +1,188 @@
+"""The engine LIGGGHTS: renders a deck from a model, runs it as a child process, reads its frames."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from functools import lru_cache
+from pathlib import Path
+
+from kncal.checks import one_of
+from kncal.diagnose import diagnose_liggghts
+from kncal.engines.base import Profile, Progress, RunResult
+from kncal.engines.liggghts_deck import deck_context
+from kncal.errors import RunError
+from kncal.io.liggghts_dump import read_trajectory
+from kncal.io.liggghts_log import END_MARKER, step_of_line
+from kncal.model import Model
+from kncal.resources import folder as shipped_folder
+from kncal.runner import run_process, solver_environment
+from kncal.templating import render
+from kncal.trajectory import Trajectory
+
+PROGRAM = "liggghts"
+DECK, SCRIPT, LOG, FRAMES = "in.liggghts", "Allrun", "log.liggghts", "particles.dump"
+LINEAR_STYLES = ("hooke/stiffness", "hooke")
+_MISSING = "LIGGGHTS is not installed ({what}): apt-get install liggghts, or use the builtin engine"
+_VERSION = re.compile(r"Version LIGGGHTS-PUBLIC ([0-9][0-9A-Za-z.]*)")
+
+
+class Liggghts:
+    """LIGGGHTS-PUBLIC 3.8.0 as packaged by Debian.
+
+    Parameters
+    ----------
+    linear_style : str
+        How a linear model is written: "hooke/stiffness" takes any k_n and eta_n; "hooke" lets LIGGGHTS find
+        k_n by strain energy at the impact speed (only for cases with that method).
+
+    Raises
+    ------
+    InputError
+        For another style.
+    """
+
+    name = "liggghts"
+
+    def __init__(self, linear_style: str = "hooke/stiffness") -> None:
+        self.linear_style = one_of("linear_style", linear_style, LINEAR_STYLES)
+
+    def profile(self) -> Profile:
+        """Look for the solver on this machine; starts it once to learn its version."""
+        program = _find(PROGRAM)
+        if program is None or _find("stdbuf") is None:
+            what = "no program " + repr(PROGRAM if program is None else "stdbuf") + " on PATH"
+            return Profile(engine=self.name, program=None, version="", problem=_MISSING.format(what=what))
+        version = _version(program)
+        problem = "" if version else f"{program} does not say that it is LIGGGHTS-PUBLIC, or which version"
+        return Profile(engine=self.name, program=program if version else None, version=version, problem=problem)
+
+    def command(self, model: Model) -> tuple[str, ...]:
+        """Return the command that `run` starts in the run's folder; it is the same for every model."""
+        del model
+        # Line-buffered: the text of some errors would be lost otherwise. The runner writes the log.
+        return ("stdbuf", "-oL", PROGRAM, "-in", DECK, "-log", "none")
+
+    def render(self, model: Model, folder: Path) -> None:
+        """Write ``in.liggghts`` and ``Allrun`` into ``folder``.
+
+        Raises
+        ------
+        RenderError
+            If LIGGGHTS cannot simulate the model, or would do it wrongly without a word; nothing is written.
+        """
+        templates = shipped_folder("templates") / "liggghts"
+        context = deck_context(model, self.linear_style) | {"end_marker": END_MARKER}
+        texts = {name: render(templates, f"{name}.j2", context) for name in (DECK, SCRIPT)}
+        for name, text in texts.items():
+            (folder / name).write_text(text, encoding="ascii")
+        (folder / SCRIPT).chmod(0o755)
+
+    def run(
+        self, model: Model, folder: Path, *, timeout: float | None = None, progress: Progress | None = None
+    ) -> RunResult:
+        """Run the deck in ``folder``; never raises for a failed run, the status says so."""
+        profile = self.profile()
+        log = folder / LOG
+        if profile.program is None:
+            return self._result(model, folder, "not_installed", message=profile.problem)
+
+        def on_line(line: str) -> None:
+            step = step_of_line(line)
+            if progress is not None and step is not None:
+                progress(step, model.n_steps)
+
+        try:
+            (folder / FRAMES).unlink(missing_ok=True)
+            process = run_process(
+                self.command(model),
+                cwd=folder,
+                log=log,
+                env=solver_environment(),
+                timeout=timeout,
+                on_line=on_line,
+            )
+        except (RunError, OSError) as error:
+            return self._result(model, folder, "failed", message=str(error), version=profile.version)
+        problem = diagnose_liggghts(process, log, folder / FRAMES, model.n_steps, len(model.scene.particles))
+        status = process.status
+        if status == "exited":
+            status = "completed" if problem is None else "failed"
+        return self._result(
+            model,
+            folder,
+            status,
+            cpu_seconds=process.cpu_seconds,
+            wall_seconds=process.wall_seconds,
+            version=profile.version,
+            returncode=process.returncode,
+            message="" if problem is None else problem.message,
+            log=log,
+        )
+
+    def read(self, model: Model, folder: Path) -> Trajectory:
+        """Read the recorded frames of a completed run.
+
+        Raises
+        ------
+        ReadError
+            If the frames are missing, truncated or not those of the model's particles.
+        """
+        particles = model.scene.particles
+        names = tuple(p.name for p in particles)
+        return read_trajectory(folder / FRAMES, names, [p.radius for p in particles], model.dt)
+
+    def _result(
+        self,
+        model: Model,
+        folder: Path,
+        status: str,
+        *,
+        message: str = "",
+        cpu_seconds: float = 0.0,
+        wall_seconds: float = 0.0,
+        version: str = "",
+        returncode: int | None = None,
+        log: Path | None = None,
+    ) -> RunResult:
+        return RunResult(
+            status=status,
+            engine=self.name,
+            model=model.kind,
+            folder=folder,
+            steps=model.n_steps,
+            dt=model.dt,
+            cpu_seconds=cpu_seconds,
+            wall_seconds=wall_seconds,
+            version=version,
+            returncode=returncode,
+            message=message,
+            log=log,
+        )
+
+
+def _find(program: str) -> Path | None:
+    found = shutil.which(program)
+    return None if found is None else Path(found)
+
+
+@lru_cache(maxsize=8)
+def _version(program: Path) -> str:
+    """Return the version that the program's banner names, empty if it names none; asked once per program."""
+    import subprocess
+
+    try:
+        # Without a log and with an empty deck it prints its banner and ends.
+        done = subprocess.run(  # noqa: S603  # a program found on PATH, fixed arguments
+            [str(program), "-log", "none"],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            env=solver_environment(),
+            timeout=60,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    match = _VERSION.search(done.stdout.decode(errors="replace"))
+    return match.group(1) if match else ""

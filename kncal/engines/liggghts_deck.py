@@ -1,0 +1,267 @@
+"""What a LIGGGHTS deck says, worked out from a model: atom types, properties, walls, box, recording schedule.
+Force laws as LIGGGHTS 3.8.0 codes them (delta > 0 overlap, v approach speed, b = -ln e/sqrt(pi² + ln² e)):
+
+``hooke/stiffness`` with ``absolute_damping``: F = kn delta + gamman_abs v.
+``hertz``: F = (4/3) Y sqrt(R) delta^1.5 + 2 sqrt(5/6) b sqrt(2 Y sqrt(R delta) m) v, the Tsuji form:
+C = c/sqrt(m k_h) = sqrt(5) b.
+``hooke``: F = kn delta + 2 b sqrt(m kn) v with kn = (16/15) sqrt(R) Y (15 m V²/(16 sqrt(R) Y))^(1/5).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+
+from kncal.engines.liggghts_checks import (
+    check_elastic,
+    check_numbers,
+    check_start,
+    check_tangential,
+    expect,
+    expect_same,
+)
+from kncal.engines.liggghts_schedule import schedule
+from kncal.engines.liggghts_types import AtomTypes, group, matrix
+from kncal.errors import RenderError
+from kncal.model import Model, PairContact
+from kncal.needs import decide
+from kncal.scene import Particle, Scene, Wall
+
+#: LIGGGHTS refuses a coefficientRestitution of 0.05 and below.
+LEAST_RESTITUTION = 0.05
+#: Young's modulus beyond which LIGGGHTS (units si) wants `soft_particles yes` or `hard_particles yes` [Pa].
+SOFT_LIMIT, HARD_LIMIT = 5e6, 1e9
+#: LIGGGHTS refuses a smaller characteristicVelocity [m/s].
+LEAST_VELOCITY = 1e-2
+#: A wall this much stiffer than the softest particle changes E_eff by less than rounding does.
+RIGID = 1e17
+
+Entry = dict[str, object]
+
+
+def deck_context(model: Model, linear_style: str) -> dict[str, object]:
+    """Return the values that the template ``in.liggghts.j2`` needs: plain numbers, names, lists and dicts.
+
+    Raises
+    ------
+    RenderError
+        If LIGGGHTS would accept a number but not simulate it, or cannot simulate the model.
+    """
+    scene = model.scene
+    check_numbers(model)
+    check_start(scene)
+    style = "hertz" if model.kind == "hertz" else linear_style
+    ends = {contact.end for contact in model.contacts.values()}
+    if len(ends) > 1:
+        raise RenderError(
+            f"{scene.name}: contacts end at {' and '.join(sorted(ends))}: LIGGGHTS has one limitForce for "
+            "all of them; choose one contact.end"
+        )
+    needs = decide(scene)
+    tangential, rolling = needs.uses("tangential"), needs.uses("rolling")
+    columns = _COLUMNS[style](model)
+    if tangential:
+        columns["coefficientFriction"] = {names: c.friction for names, c in model.contacts.items()}
+        check_tangential(model, style)
+    if rolling:
+        columns["coefficientRollingFriction"] = {n: c.rolling_friction for n, c in model.contacts.items()}
+    types = group(scene, columns)
+    selectors = f"{style} tangential {'history' if tangential else 'off'}"
+    selectors += " rolling_friction cdt" if rolling else ""
+    switches = " ".join(
+        word
+        for word, wanted in (
+            ("limitForce on", "force" in ends),
+            ("absolute_damping on", style == "hooke/stiffness"),
+            ("tangential_damping off", tangential),
+        )
+        if wanted
+    )
+    elastic = _elastic(scene, types) if style != "hooke/stiffness" else []
+    moduli = [value for entry in elastic if entry["name"] == "youngsModulus" for value in entry["rows"][0]]  # type: ignore[index]
+    properties = elastic + [
+        _property(name, "peratomtypepair", matrix(types, column)) for name, column in columns.items()
+    ]
+    if style == "hooke":
+        properties.append(_property("characteristicVelocity", "scalar", [[_characteristic_velocity(model)]]))
+    smallest = 2.0 * min(p.radius for p in scene.particles)
+    g = math.hypot(*scene.gravity) if needs.uses("gravity") else 0.0
+    return {
+        "scene": scene.name,
+        "kind": model.kind,
+        "soft": any(value < SOFT_LIMIT for value in moduli),
+        "hard": any(value > HARD_LIMIT for value in moduli),
+        "box": _box(scene),
+        "skin": smallest,
+        "types": [
+            {"role": role, "bodies": list(bodies)} for role, bodies in zip(types.roles, types.bodies, strict=True)
+        ],
+        "properties": properties,
+        "tangential": tangential,
+        "selectors": selectors,
+        "switches": switches,
+        "walls": [_wall(wall, types) for wall in scene.walls],
+        "particles": [_particle(particle, types) for particle in scene.particles],
+        "gravity": {"size": g, "direction": [value / g for value in scene.gravity] if g else []},
+        "dt": model.dt,
+        "n_steps": model.n_steps,
+        "thermo_every": max(1, model.n_steps // 100),
+        "schedule": schedule(model),
+    }
+
+
+def tsuji_restitution(contact: PairContact, names: tuple[str, str]) -> float:
+    """Return the coefficientRestitution whose Tsuji damping in LIGGGHTS is exactly ``contact.c``.
+
+    C = c/sqrt(m_eff k_h) = sqrt(5) b, e = exp(-pi b/sqrt(1 - b²)): the overlap-end relation for either end.
+
+    Raises
+    ------
+    RenderError
+        If C >= sqrt(5), or e <= 0.05, which LIGGGHTS refuses.
+    """
+    return _restitution(contact, names, contact.c / math.sqrt(5.0 * contact.m_eff * contact.k))
+
+
+def _restitution(contact: PairContact, names: tuple[str, str], b: float) -> float:
+    e = math.exp(-math.pi * b / math.sqrt(1.0 - b * b)) if b < 1.0 else 0.0
+    if e <= LEAST_RESTITUTION:
+        asked = f"e_n = {contact.e_n:g} with contact end {contact.end!r}"
+        raise RenderError(
+            f"pair {names[0]}, {names[1]}: {asked} needs damping that LIGGGHTS does not have (its "
+            f"coefficientRestitution would be {e:.4g}; it wants more than {LEAST_RESTITUTION:g}): choose a "
+            "larger e_n, or run this model with the builtin engine"
+        )
+    # The inverse of the formula that gave c: the same number but for rounding; the asked one reads better.
+    return contact.e_n if abs(e - contact.e_n) < 1e-14 else min(e, 1.0)
+
+
+def _linear_columns(model: Model) -> dict[str, Mapping[tuple[str, str], float]]:
+    for names, c in model.contacts.items():
+        expect(c.law == "linear" and c.n == 1.0, names, f"law {c.law!r} in a linear model", "law 'linear'")
+    contacts = model.contacts.items()
+    tangential = decide(model.scene).uses("tangential")
+    return {
+        "kn": {names: c.k for names, c in contacts},
+        "kt": {names: c.k_t if tangential else 0.0 for names, c in contacts},
+        "gamman_abs": {names: c.c for names, c in contacts},
+        "gammat_abs": {names: 0.0 for names in model.contacts},
+    }
+
+
+def _hertz_columns(model: Model) -> dict[str, Mapping[tuple[str, str], float]]:
+    for names, c in model.contacts.items():
+        damped_as_tsuji = c.law == "tsuji" and (c.p == 0.25 or c.c == 0.0)
+        if not (damped_as_tsuji or (c.law == "hertz" and c.c == 0.0)) or c.n != 1.5:
+            raise RenderError(
+                f"pair {names[0]}, {names[1]}: LIGGGHTS has no {c.law!r} law (its hertz model is 'tsuji', or "
+                "'hertz' without damping): run the hertz model with the builtin engine"
+            )
+        check_elastic(model.scene, names, c)
+        expect_same(
+            names,
+            "k",
+            c.k,
+            4.0 / 3.0 * c.E_eff * math.sqrt(c.R_eff),
+            "Hertz stiffness (4/3) E_eff sqrt(R_eff)",
+        )
+    restitution = {names: tsuji_restitution(c, names) for names, c in model.contacts.items()}
+    return {"coefficientRestitution": restitution}
+
+
+def _hooke_columns(model: Model) -> dict[str, Mapping[tuple[str, str], float]]:
+    if model.scene.contact.method != "strain_energy":
+        raise RenderError(
+            f"{model.scene.name}: LIGGGHTS' hooke model finds k_n by strain energy, the case asks for "
+            f"{model.scene.contact.method!r}: expected contact.method = 'strain_energy', or the "
+            "hooke/stiffness style"
+        )
+    V = _characteristic_velocity(model)
+    restitution = {}
+    for names, c in model.contacts.items():
+        expect(c.law == "linear" and c.n == 1.0, names, f"law {c.law!r} in a linear model", "law 'linear'")
+        check_elastic(model.scene, names, c)
+        stiff = math.sqrt(c.R_eff) * c.E_eff
+        k = 16.0 / 15.0 * stiff * (15.0 * c.m_eff * V**2 / (16.0 * stiff)) ** 0.2
+        expect_same(names, "k", c.k, k, "stiffness that LIGGGHTS' hooke model will take")
+        restitution[names] = _restitution(c, names, c.c / (2.0 * math.sqrt(c.m_eff * c.k)))
+    return {"coefficientRestitution": restitution}
+
+
+_COLUMNS: dict[str, Callable[[Model], dict[str, Mapping[tuple[str, str], float]]]] = {
+    "hooke/stiffness": _linear_columns,
+    "hertz": _hertz_columns,
+    "hooke": _hooke_columns,
+}
+
+
+def _characteristic_velocity(model: Model) -> float:
+    speeds = {contact.v_0 for contact in model.contacts.values()}
+    V = speeds.pop() if len(speeds) == 1 else None
+    if V is None or speeds or V < LEAST_VELOCITY:
+        raise RenderError(
+            f"{model.scene.name}: LIGGGHTS' hooke model has one characteristicVelocity of at least "
+            f"{LEAST_VELOCITY:g} m/s for all contacts: expected one v_0 for all pairs (contact.v_0), or the "
+            "hooke/stiffness style"
+        )
+    return V
+
+
+def _elastic(scene: Scene, types: AtomTypes) -> list[Entry]:
+    rigid = RIGID * max(float(p.material.young) for p in scene.particles)
+    young = [rigid if m is None else float(m.young) for m in types.materials]
+    poisson = [0.0 if m is None else float(m.poisson) for m in types.materials]
+    return [
+        _property("youngsModulus", "peratomtype", [young]),
+        _property("poissonsRatio", "peratomtype", [poisson]),
+    ]
+
+
+_COMMENTS = {
+    "youngsModulus": "Young's modulus [Pa]; a rigid wall has one that changes nothing any more",
+    "poissonsRatio": "Poisson's ratio [-]",
+    "coefficientRestitution": "sets the damping [-]; lower than e_n where attraction is cut off (limitForce)",
+    "characteristicVelocity": "impact speed at which the spring stores as much energy as Hertz [m/s]",
+    "kn": "normal stiffness [N/m]",
+    "kt": "tangential stiffness [N/m]",
+    "gamman_abs": "normal damping coefficient eta_n [N s/m]",
+    "gammat_abs": "tangential damping [N s/m]: none, as in the other model",
+    "coefficientFriction": "Coulomb friction [-]",
+    "coefficientRollingFriction": "rolling friction [-]",
+}
+
+
+def _property(name: str, per: str, rows: list[list[float]]) -> Entry:
+    return {"name": name, "per": per, "rows": rows, "comment": _COMMENTS[name]}
+
+
+def _particle(particle: Particle, types: AtomTypes) -> Entry:
+    return {
+        "name": particle.name,
+        "type": types.index[particle.name] + 1,
+        "diameter": 2.0 * particle.radius,
+        "density": particle.material.density,
+        "x": list(particle.position),
+        "v": list(particle.velocity),
+        "spin": list(particle.spin),
+    }
+
+
+def _wall(wall: Wall, types: AtomTypes) -> Entry:
+    return {
+        "name": wall.name,
+        "type": types.index[wall.name] + 1,
+        "plane": f"{wall.axis}plane",
+        "position": wall.position,
+    }
+
+
+def _box(scene: Scene) -> list[list[float]]:
+    margin = 2.0 * max(p.radius for p in scene.particles)
+    return [
+        [
+            min(p.position[axis] for p in scene.particles) - margin,
+            max(p.position[axis] for p in scene.particles) + margin,
+        ]
+        for axis in range(3)
+    ]
