@@ -30,23 +30,20 @@ def program(folder: Path, name: str, script: str) -> None:
 
 
 @pytest.fixture(scope="module")
-def here(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[doctor.Finding], float, list[Path]]:
-    """This machine's findings, the seconds they took, and what they left behind in the working folder."""
+def here(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[doctor.Finding], list[Path]]:
+    """This machine's findings, and what they left behind in the working folder."""
     folder = tmp_path_factory.mktemp("here")
     before = Path.cwd()
     os.chdir(folder)
     try:
-        start = time.perf_counter()
         findings = doctor.examine()
-        return findings, time.perf_counter() - start, list(folder.iterdir())
+        return findings, list(folder.iterdir())
     finally:
         os.chdir(before)
 
 
-def test_takes_less_than_ten_seconds_and_leaves_nothing(here):
-    _, seconds, left = here
-    assert seconds < 10.0
-    assert left == []
+def test_leaves_nothing_behind(here):
+    assert here[1] == []
 
 
 def test_each_finding_says_what_it_is_for_and_how_to_mend_it(here):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import numpy as np
@@ -268,17 +267,3 @@ def test_trajectory_arguments(write) -> None:
     one = read_trajectory(path, ("a",), (1.0,), 1.0)
     with pytest.raises(InputError, match="types"):
         write_trajectory(path, one, [1, 1])
-
-
-@pytest.mark.parametrize(("frames", "rows", "limit"), [(20_000, 1, 2.0), (2, 50_000, 1.5)])
-def test_reading_is_fast(write, frames: int, rows: int, limit: float) -> None:
-    """A table parser called once per frame, or a loop over the rows, would be several times over the limit."""
-    numbers = np.random.default_rng(1).standard_normal((1000, 12))
-    lines = [" ".join(f"{v:.17g}" for v in numbers[i % 1000]) for i in range(rows)]
-    text = "".join(frame(k, [f"{i + 1} 1 {line}" for i, line in enumerate(lines)], FULL) for k in range(frames))
-    path = write(text)
-    read_dump(path)
-    begin = time.process_time()
-    table = read_dump(path)
-    assert time.process_time() - begin < limit
-    assert len(table) == frames * rows
