@@ -13,37 +13,40 @@ import math
 from kncal.model import Model
 from kncal.scene import AXES, Particle
 
-#: About as many frames are written in flight: a frame costs as much as some 40 steps of a few particles.
-FLIGHT_FRAMES = 50
-#: The shortest time to a touch is taken for this much shorter.
-MARGIN = 1.2
+#: At least as many frames would be written in a pure flight: a frame costs as much as some 40 steps of few particles.
+FLIGHT_FRAMES = 30
 
 
 def schedule(model: Model) -> dict[str, object]:
     """Return the recording schedule as the deck's template needs it.
 
     With D = ``dense`` and S = ``sparse`` steps between frames in contact and in flight, the next frame comes after
-    D + (S - D) f steps, f the product over all pairs of min(1, max(0, r)), r = gap/(``reach`` |v| + ``floor``) - D/S:
-    ``reach`` is MARGIN S dt [s], v the closing velocity [m/s], ``floor`` what gravity adds [m]. A pair then closes at
-    most D |v| dt + (gap - D |v| dt)/MARGIN of its gap.
+    D + D floor((S - D)/D f) steps, f the product over all pairs of 0 in contact, else gap/(gap + ``reach`` |v| +
+    ``floor``): ``reach`` is 2 S dt [s], v the closing velocity [m/s], ``floor`` what gravity adds [m]. So either it
+    comes after D steps, or before half the gap and D more steps are closed, which is less than the gap.
 
     ``pairs`` holds for spheres i, j the sum of radii ``length`` [m]; for sphere i and a wall on ``axis`` the
-    coordinate ``zero`` [m] of the touch and on which side the sphere is (``above``).
+    coordinate ``zero`` [m] of the touch and on which side the sphere is (``above``). ``tiny`` [m] keeps a gap of zero
+    from being divided by.
     """
     dense, sparse = model.record_every, max(model.flight_every, model.n_steps // FLIGHT_FRAMES)
-    reach = MARGIN * sparse * model.dt
+    reach = 2.0 * sparse * model.dt
     ids = {particle.name: index for index, particle in enumerate(model.scene.particles, start=1)}
     pairs: list[dict[str, object]] = []
     for a, b in model.scene.body_pairs():
-        # Never zero: nothing at rest divides by it, and a gap of a radius is far for it.
-        floor = 1e-9 * a.radius
+        entry: dict[str, object] = {"i": ids[a.name], "tiny": 1e-12 * a.radius}
         if isinstance(b, Particle):
-            length = a.radius + b.radius
-            pairs.append({"wall": False, "i": ids[a.name], "j": ids[b.name], "length": length, "floor": floor})
-            continue
-        axis = AXES.index(b.axis)
-        above = a.position[axis] > b.position
-        zero = b.position + math.copysign(a.radius, 1.0 if above else -1.0)
-        floor += reach**2 * abs(model.scene.gravity[axis])
-        pairs.append({"wall": True, "i": ids[a.name], "axis": b.axis, "above": above, "zero": zero, "floor": floor})
-    return {"dense": dense, "sparse": sparse, "reach": reach, "offset": dense / sparse, "pairs": pairs}
+            entry |= {"wall": False, "j": ids[b.name], "length": a.radius + b.radius, "floor": 0.0}
+        else:
+            axis = AXES.index(b.axis)
+            above = a.position[axis] > b.position
+            entry |= {
+                "wall": True,
+                "axis": b.axis,
+                "above": above,
+                "zero": b.position + math.copysign(a.radius, 1.0 if above else -1.0),
+                # the speed gained within S steps, over `reach`
+                "floor": 0.5 * reach**2 * abs(model.scene.gravity[axis]),
+            }
+        pairs.append(entry)
+    return {"dense": dense, "sparse": sparse, "reach": reach, "pairs": pairs}

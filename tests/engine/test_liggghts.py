@@ -282,7 +282,7 @@ def test_frames_are_dense_in_contact_sparse_in_flight_and_reach_the_last_step(
     assert (frames.step[0], frames.step[-1]) == (0, model.n_steps)
     in_contact = gap[:-1] <= 0.0
     assert np.all(spacing[:-1][in_contact[:-1]] == record_every)
-    assert spacing.max() == max(model.flight_every, model.n_steps // 50)
+    assert spacing.max() > 10 * record_every
     assert len(frames.step) < 0.5 * model.n_steps / record_every
     # no touch is jumped over: a frame before a contact is not further from it than one dense step
     first = np.flatnonzero(in_contact[1:] & ~in_contact[:-1])
@@ -293,6 +293,28 @@ def test_frames_are_dense_in_contact_sparse_in_flight_and_reach_the_last_step(
     assert [done for done, _ in seen] == sorted(done for done, _ in seen)
     assert seen[-1] == (model.n_steps, model.n_steps)
     assert len(seen) >= 100
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_contact_is_missed_when_a_collision_makes_a_bead_faster_than_all_were(tmp_path: Path, kind: str) -> None:
+    """A heavy ball makes a light bead leave with nearly twice its speed; the bead then hits a far wall."""
+    ball = Particle(name="ball", material=STEEL, radius=3 * R, position=(0, 0, 0), velocity=(1.0, 0, 0))
+    bead = Particle(name="bead", material=GLASS, radius=R, position=(4.1e-3, 0, 0))
+    scene = Scene(
+        name="knock_on",
+        particles=(ball, bead),
+        walls=(Wall(name="end", axis="x", position=0.015),),
+        contact=ContactChoice(v_0=1.0),
+        run=RunControl(until_time=5.5e-3, steps_per_contact=40.0),
+    )
+    frames = simulate(plan(scene, [kind])[kind], tmp_path)
+    gap = 0.015 - R - frames.x[:, 1, 0]
+    assert frames.v[:, 1, 0].max() > 1.9
+    assert frames.v[-1, 1, 0] < 0.0  # it did come back
+    (before,) = np.flatnonzero((gap[:-1] >= 0.0) & (gap[1:] < 0.0))
+    assert frames.step[before + 1] - frames.step[before] == 1
+    assert np.sum(gap < 0.0) >= 30  # a contact of about 40 steps, stiffer against the rigid wall
+    assert len(frames.step) < 1000
 
 
 def test_short_runs_also_have_a_first_and_a_last_frame(tmp_path: Path) -> None:
