@@ -12,6 +12,7 @@ Sources: Swope et al., J. Chem. Phys. 76 (1982) 637 (velocity Verlet); Cundall &
 from __future__ import annotations
 
 import math
+import sys
 from array import array
 from collections.abc import Callable
 from math import sqrt
@@ -108,9 +109,13 @@ class _Motion:
     def _turn(self) -> None:
         self.spin[:] = [w + s * t for w, s, t in zip(self.spin, self.turn, self.torque, strict=True)]
 
+    def free_steps(self) -> int:
+        """Return how many whole steps surely pass before anything touches."""
+        return min((limit() for limit in self.stride_limits), default=sys.maxsize)
+
     def fly(self, most: int) -> int:
         """Move on by up to ``most`` whole steps of free flight; return how many, 0 if a touch is near."""
-        stride = min([most, *(limit() for limit in self.stride_limits)])
+        stride = min(most, self.free_steps())
         if stride < 1:
             return 0
         h = stride * self.dt
@@ -122,8 +127,8 @@ class _Motion:
 def integrate(model: Model, progress: Callable[[int, int], None] | None = None) -> Trajectory:
     """Run ``model`` for its ``n_steps`` and return the recorded frames.
 
-    A frame is followed by the next one ``record_every`` steps later while any gap is below ``near_gap``, else
-    ``flight_every`` steps later; step 0 and the last step are always recorded.
+    A frame is followed by the next one ``record_every`` steps later in contact, else up to ``flight_every`` steps
+    later, but before anything can touch; step 0 and the last step are always recorded.
 
     Parameters
     ----------
@@ -142,7 +147,7 @@ def integrate(model: Model, progress: Callable[[int, int], None] | None = None) 
     check(model)
     motion = _Motion(model)
     x, v, spin, force = motion.x, motion.v, motion.spin, motion.force
-    last, near_gap = model.n_steps, model.near_gap
+    last = model.n_steps
     steps, frames = array("q"), tuple(array("d") for _ in range(4))
     step, next_frame, next_report = 0, 0, REPORT_EVERY
     gap = motion.load(False)
@@ -151,7 +156,8 @@ def integrate(model: Model, progress: Callable[[int, int], None] | None = None) 
             steps.append(step)
             for frame, values in zip(frames, (x, v, spin, force), strict=True):
                 frame.extend(values)
-            next_frame = min(last, step + (model.record_every if gap < near_gap else model.flight_every))
+            free = 0 if gap <= 0.0 else min(model.flight_every, motion.free_steps())
+            next_frame = min(last, step + max(model.record_every, free))
         if step >= next_report or step == last:
             if not math.isfinite(sum(x) + sum(v) + sum(spin)):
                 raise RunError(f"step {step}: a position or velocity is not finite: expected a smaller time step")

@@ -67,9 +67,8 @@ class Model:
     dt : time step [s]
     t_end : end time [s]
     n_steps : number of steps, ceil(t_end/dt)
-    record_every : steps between frames while any gap is below ``near_gap``
-    flight_every : steps between frames otherwise
-    near_gap : [m], what the fastest possible approach covers in ``flight_every`` steps, with a margin
+    record_every : steps between frames in contact
+    flight_every : most steps between frames in flight; an engine takes fewer where a touch may come
     """
 
     scene: Scene
@@ -80,7 +79,6 @@ class Model:
     n_steps: int
     record_every: int
     flight_every: int
-    near_gap: float
 
     def without_friction(self) -> Model:
         """Return the same model with smooth contacts: its normal motion is that of a sphere on a wall with friction."""

@@ -17,7 +17,7 @@ from kncal.impact import dimensionless_impact
 from kncal.material import Pair, pair, wall_pair
 from kncal.model import KINDS, Model, PairContact
 from kncal.needs import Needs, decide
-from kncal.scene import AXES, Particle, Scene, Wall
+from kncal.scene import Particle, Scene, Wall
 from kncal.timestep import contact_time
 
 #: More steps than this are refused before the run rather than after a day.
@@ -132,7 +132,6 @@ def _model(scene: Scene, kind: str, needs: Needs) -> Model:
         n_steps=0,
         record_every=scene.run.record_every,
         flight_every=0,
-        near_gap=math.nan,
     )
 
 
@@ -145,22 +144,7 @@ def _timed(model: Model, t_end: float) -> Model:
         )
     shortest = min(c.t_c for c in model.contacts.values())
     flight = max(model.record_every, round(shortest / model.dt))
-    gap = 1.5 * _speed_bound(model.scene, t_end) * flight * model.dt
-    return replace(model, t_end=t_end, n_steps=n_steps, flight_every=flight, near_gap=gap)
-
-
-def _speed_bound(scene: Scene, t_end: float) -> float:
-    """Return an upper bound of any closing speed [m/s]: start speeds, plus what gravity gives over the height."""
-    start = sum(float(np.linalg.norm(p.velocity)) for p in scene.particles)
-    g = float(np.linalg.norm(scene.gravity))
-    heights = [
-        abs(p.position[AXES.index(w.axis)] - w.position)
-        for p in scene.particles
-        for w in scene.walls
-        if scene.gravity[AXES.index(w.axis)] != 0.0
-    ]
-    fall = math.sqrt(2.0 * g * max(heights)) if heights else g * t_end
-    return start + min(fall, g * t_end)
+    return replace(model, t_end=t_end, n_steps=n_steps, flight_every=flight)
 
 
 def _resting_time(scene: Scene, a: Particle, b: Particle | Wall, both: Pair) -> float:

@@ -69,7 +69,6 @@ def model(
     friction: float = 0.0,
     end: str = "overlap",
     flight_every: int = 20,
-    near_gap: float = 2e-5,
     record_every: int = 1,
 ) -> Model:
     """A model of ``scene`` whose dt is the shortest contact duration over ``steps_per_contact``."""
@@ -88,7 +87,6 @@ def model(
         n_steps=math.ceil(t_end / dt),
         record_every=record_every,
         flight_every=flight_every,
-        near_gap=near_gap,
     )
 
 

@@ -57,7 +57,7 @@ def test_elastic_impact_keeps_the_energy(kind: str, scene: Scene) -> None:
 def test_elastic_linear_impact_keeps_the_discrete_energy(n: float, gap: float) -> None:
     # Velocity Verlet conserves v² + omega² delta² (1 - (omega dt)²/4); with the half kick at the first and at the last
     # frame in contact this is v² - omega² delta (v dt - delta), v the free speed and delta the overlap of that frame.
-    given = model(on_wall(gap=gap), "linear", t_end=1e-3, steps_per_contact=n, near_gap=1.0)
+    given = model(on_wall(gap=gap), "linear", t_end=1e-3, steps_per_contact=n, flight_every=1)
     contact = given.contacts["bead", "floor"]
     run_ = integrate(given)
     delta = R - run_.x[:, 0, 2]
@@ -184,8 +184,8 @@ def test_a_common_velocity_changes_nothing(kind: str) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_strides_over_flights_change_nothing(kind: str) -> None:
     scene = on_wall(gap=5e-3, velocity=(0.1, 0.0, 0.0), gravity=9.81)
-    leaping = model(scene, kind, t_end=0.11, e_n=0.8, flight_every=60, near_gap=1e-4)
-    plain = integrate(dataclasses.replace(leaping, near_gap=math.inf))
+    leaping = model(scene, kind, t_end=0.11, e_n=0.8, flight_every=60)
+    plain = integrate(dataclasses.replace(leaping, flight_every=1))
     strided = integrate(leaping)
     assert len(plain.t) == leaping.n_steps + 1
     assert len(strided.t) < 0.5 * len(plain.t)
@@ -198,16 +198,34 @@ def test_strides_over_flights_change_nothing(kind: str) -> None:
     assert np.abs(strided.v - plain.v[same]).max() < 1e-10
 
 
-def test_frames_follow_the_schedule() -> None:
-    given = model(on_wall(gap=1e-3), "linear", t_end=2.5e-3, flight_every=17, near_gap=1e-4, record_every=3)
+def test_frames_are_dense_in_contact_and_never_jump_over_a_touch() -> None:
+    given = model(on_wall(gap=1e-3), "linear", t_end=2.5e-3, flight_every=17, record_every=3)
     trajectory = integrate(given)
     gaps = trajectory.x[:, 0, 2] - R
-    expected = np.where(gaps < given.near_gap, 3, 17)[:-1]
-    assert np.array_equal(np.diff(trajectory.step)[:-1], expected[:-1])
+    spacing = np.diff(trajectory.step)
+    assert set(spacing[gaps[:-1] <= 0.0]) == {3}
+    assert spacing.max() == 17
+    # the frame before the touch is free, and no further from it than one dense spacing
+    first = int(np.argmax(gaps <= 0.0))
+    assert spacing[first - 1] <= 3
     assert trajectory.step[0] == 0
     assert trajectory.step[-1] == given.n_steps
-    assert 0 < np.diff(trajectory.step)[-1] <= 17
-    assert set(expected) == {3, 17}
+
+
+def test_a_bead_knocked_on_by_a_heavy_ball_is_seen_at_the_wall() -> None:
+    # Elastic: a heavy ball at v sends a light bead off at nearly 2 v, faster than anything at the start.
+    heavy = Particle(name="heavy", material=GLASS, radius=2e-3, position=(-2.3e-3, 0.0, 0.0), velocity=(1.0, 0.0, 0.0))
+    light = Particle(name="light", material=GLASS, radius=2e-4, position=(0.0, 0.0, 0.0))
+    wall = Wall(name="wall", axis="x", position=1.2e-2, material=None)
+    scene = Scene(name="knock", particles=(heavy, light), walls=(wall,))
+    given = model(scene, "linear", t_end=1e-2, flight_every=10_000)
+    contacts = observe(given, integrate(given)).contacts
+    assert [c.pair for c in contacts[:2]] == [("heavy", "light"), ("light", "wall")]
+    assert contacts[1].v_in > 1.9
+    assert contacts[1].delta_max == pytest.approx(
+        contacts[1].v_in * math.sqrt(given.contacts["light", "wall"].m_eff / given.contacts["light", "wall"].k),
+        rel=1e-2,
+    )
 
 
 def test_force_end_never_pulls_and_overlap_end_does() -> None:
@@ -293,7 +311,7 @@ def test_engine_says_how_a_run_ended(tmp_path: Path) -> None:
 @pytest.mark.parametrize("scene", [on_wall(), head_on(), head_on(radius_2=3 * R)], ids=["wall", "pair", "unequal"])
 @pytest.mark.parametrize(("e_n", "end"), [(0.9, "overlap"), (0.3, "force")])
 def test_normal_impact_is_that_of_liggghts(kind: str, scene: Scene, e_n: float, end: str, tmp_path: Path) -> None:
-    given = model(scene, kind, t_end=1.5e-3, e_n=e_n, end=end, near_gap=1.0)
+    given = model(scene, kind, t_end=1.5e-3, e_n=e_n, end=end, flight_every=1)
     ours = integrate(given)
     steps, rows = run(given, tmp_path)
     assert np.array_equal(steps, ours.step)
@@ -316,7 +334,7 @@ def test_normal_impact_is_that_of_liggghts(kind: str, scene: Scene, e_n: float, 
     ids=["oblique", "sliding", "pair"],
 )
 def test_friction_is_that_of_liggghts(kind: str, scene: Scene, tmp_path: Path) -> None:
-    given = model(scene, kind, t_end=1.5e-3, e_n=0.8, friction=0.3, near_gap=1.0)
+    given = model(scene, kind, t_end=1.5e-3, e_n=0.8, friction=0.3, flight_every=1)
     ours = integrate(given)
     _, rows = run(given, tmp_path)
     assert np.ptp(rows[:, :, 6:9], axis=0).max() > 1.0

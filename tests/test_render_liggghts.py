@@ -190,7 +190,6 @@ def test_bad_contact_numbers_never_reach_a_deck(
 @pytest.mark.parametrize(
     "change",
     [{"dt": bad} for bad in [0.0, *BAD]]
-    + [{"near_gap": bad} for bad in BAD]
     + [{"n_steps": 0}, {"n_steps": 2**31}, {"record_every": 0}, {"flight_every": 0}, {"contacts": {}}],
 )
 def test_bad_run_numbers_never_reach_a_deck(tmp_path: Path, models: dict[str, Model], change: dict[str, Any]) -> None:

@@ -50,7 +50,6 @@ def check_numbers(model: Model) -> None:
         f"flight_every = {model.flight_every}",
         f"at least record_every = {model.record_every}",
     )
-    expect(math.isfinite(model.near_gap) and model.near_gap >= 0.0, name, "near_gap", "a finite gap >= 0")
     wanted = {(a.name, b.name) for a, b in model.scene.body_pairs()}
     expect(
         wanted == set(model.contacts),
