@@ -19,6 +19,7 @@ from kncal.errors import InputError, RunError
 from kncal.metrics import ExactRow, MetricRow, judge, metric_order, metric_unit
 from kncal.model import Model
 from kncal.trajectory import Trajectory
+from kncal.units import quantity
 from kncal.verdict import sentences
 
 if TYPE_CHECKING:
@@ -106,9 +107,25 @@ class Comparison:
         return tuple(r for r in self.rows if r.verdict in ("outside", "missing"))
 
     @property
+    def limits(self) -> tuple[tuple[str, str], ...]:
+        """What limits the contacts that happened: (warning code, sentence with its pairs), each once."""
+        met = {event.pair for data in (self.linear, self.hertz) for event in data.observations.contacts}
+        pairs: dict[tuple[str, str], list[str]] = {}
+        for data in (self.linear, self.hertz):
+            for pair, contact in data.model.contacts.items():
+                for warning in contact.warnings.items() if pair in met else ():
+                    names = pairs.setdefault(warning, [])
+                    names.extend({"–".join(pair)} - set(names))
+        texts = [(code, f"{', '.join(names)}: {text}") for (code, text), names in pairs.items()]
+        if not met:
+            texts.append(("no-contact", "no contact happened in either run: lengthen run.until_time"))
+        return tuple(texts)
+
+    @property
     def sentences(self) -> tuple[str, ...]:
         """The verdict in words: what was compared and judged, what was saved, and what to keep in mind."""
-        return sentences((self.linear.model, self.hertz.model), self.rows, self.exact, self.costs, self.speed)
+        models = (self.linear.model, self.hertz.model)
+        return sentences(models, self.rows, self.exact, self.costs, self.speed, self.limits)
 
     def row(self, metric: str) -> MetricRow:
         """Return the row of ``metric``; raises `InputError` if there is none."""
@@ -253,7 +270,9 @@ def _row(name: str, linear: RunData, hertz: RunData, tolerance: float | None) ->
     if predicted[0] is not None and predicted[1] is not None:
         numerical = (abs(predicted[0] * a) + abs(predicted[1] * b)) / scale
     reason = ""
-    if tolerance is not None and numerical is not None and numerical > tolerance:
+    # Worth a word only where it decides: a difference far outside is no matter of steps, and none at all is no matter.
+    close = tolerance is not None and numerical is not None and 0.0 < abs(a - b) / scale <= tolerance + numerical
+    if close and tolerance is not None and numerical is not None and numerical > tolerance:
         reason = "the tolerance is tighter than the discretisation error: take more steps per contact"
     return judge(
         name,
@@ -328,7 +347,7 @@ def _extent(motion: Trajectory) -> tuple[float, str]:
     extent = float(np.linalg.norm(sides, axis=1).max())
     radius = float(motion.radius.min())
     if extent > NEGLIGIBLE * radius:
-        return extent, f"extent of the motion {extent:.4g} m"
+        return extent, f"extent of the motion {quantity(extent, 'm', 4)}"
     return radius, f"smallest radius {radius:.4g} m (nothing moves)"
 
 
@@ -356,6 +375,6 @@ def _cost(kind: str, data: RunData) -> Cost:
 def _contacts(model: Model) -> list[dict[str, Any]]:
     """The contact of every pair, for the JSON file."""
     return [
-        {"pair": list(pair), **{**asdict(contact), "warnings": list(contact.warnings)}}
+        {"pair": list(pair), **{**asdict(contact), "warnings": dict(contact.warnings)}}
         for pair, contact in model.contacts.items()
     ]

@@ -89,7 +89,12 @@ def cost(model: str, result: RunResult, durations: Sequence[float], cpu_samples:
 def speed(linear: Cost, hertz: Cost) -> Speed:
     """What ``linear`` saves against ``hertz``, with everything that makes the numbers doubtful."""
     caveats = []
-    known = min(linear.cpu_low, hertz.cpu_low) >= CPU_MEASURABLE
+    jumping = "builtin" in (linear.engine, hertz.engine)
+    if jumping:
+        caveats.append(
+            "The builtin engine jumps over free flight in closed form: its CPU time says nothing about a solver's."
+        )
+    known = min(linear.cpu_low, hertz.cpu_low) >= CPU_MEASURABLE and not jumping
     if known and min(linear.cpu_seconds, hertz.cpu_seconds) < CPU_TRUSTED:
         caveats.append(
             f"A run below {CPU_TRUSTED:g} s of CPU is mostly the solver's start and the writing of frames:"

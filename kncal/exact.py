@@ -122,8 +122,8 @@ def bounce_time(model: Model, n: int) -> float:
         if not moving or motion.rest_time is not None or idle > _PATIENCE:
             why = motion.statement() if motion.open else "nothing touches any more"
             raise ValidityError(
-                f"{model.scene.name} ({model.kind}): {len(motion.ended)} of {bounces} contacts end: {why}; "
-                "expected run.until_bounces of at most that number, or run.until_time"
+                f"{model.scene.name} ({model.kind}): only {len(motion.ended)} of the {bounces} contacts end ({why}): "
+                f"expected run.until_bounces of at most {len(motion.ended)}, or run.until_time"
             )
     last = motion.ended[bounces - 1]
     g = float(np.linalg.norm(model.scene.gravity))

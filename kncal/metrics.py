@@ -12,7 +12,7 @@ METRICS: Mapping[str, tuple[str, str]] = {
     "t_c": ("s", "contact duration"),
     "delta_max": ("m", "maximum overlap"),
     "delta_mean": ("m", "mean overlap"),
-    "v_out": ("m/s", "speed after the contact"),
+    "v_out": ("m/s", "relative normal speed after the contact"),
     "rebound_height": ("m", "rebound height"),
     "slip_end_time": ("s", "time at which slip ends"),
     "slip_end_speed": ("m/s", "speed at which slip ends"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from kncal.scene import Scene
 
@@ -32,7 +32,7 @@ class PairContact:
     m_eff, R_eff, E_eff, G_eff : of the pair [kg], [m], [Pa], [Pa]
     friction : Coulomb coefficient [-]
     k_t : tangential stiffness: [N/m] (linear), or 8 G_eff sqrt(R_eff) [N/m^1.5], times sqrt(delta) (hertz)
-    warnings : what the calibration says about this pair
+    warnings : what the calibration says about this pair, code -> sentence
     """
 
     law: str
@@ -52,7 +52,7 @@ class PairContact:
     friction: float
     rolling_friction: float
     k_t: float
-    warnings: tuple[str, ...] = ()
+    warnings: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -102,11 +102,23 @@ def pair_choice(scene: Scene, a: Particle, b: Particle | Wall) -> PairNumbers:
     if v_0 is None:
         v_0 = first_impact_speed(scene)
         if v_0 is None and k_n is None:
-            raise CaseFileError(
-                f"{scene.name}: nothing in the scene moves towards anything, so there is no impact speed to calibrate "
-                "at: expected contact.v_0 [m/s] or contact.k_n [N/m]"
-            )
+            raise CaseFileError(f"{scene.name}: {_why_no_speed(scene)}")
     return PairNumbers(e_n, friction, v_0, k_n)
+
+
+def _why_no_speed(scene: Scene) -> str:
+    pressed = [(a, b, d) for a, b in scene.body_pairs() if (d := initial_overlap(a, b)) > 0.0]
+    if pressed:
+        a, b, depth = max(pressed, key=lambda item: item[2] / item[0].radius)
+        return (
+            f"{a.name!r} starts {depth:.3g} m ({depth / a.radius:.2g} of its radius) inside {b.name!r}, and nothing "
+            "else meets: check position and diameter (in m: 3 mm is 0.003), or give contact.v_0 [m/s] or "
+            "contact.k_n [N/m]"
+        )
+    return (
+        "nothing in the scene moves towards anything, so there is no impact speed to calibrate at: expected "
+        "contact.v_0 [m/s] or contact.k_n [N/m]"
+    )
 
 
 def first_impact_speed(scene: Scene) -> float | None:
@@ -216,5 +228,5 @@ def _contact(scene: Scene, a: Particle, b: Particle | Wall, kind: str) -> PairCo
         friction=friction,
         rolling_friction=contact.rolling_friction,
         k_t=k_t,
-        warnings=() if calibration is None else tuple(str(w) for w in calibration.warnings),
+        warnings={} if calibration is None else {w.code: str(w) for w in calibration.warnings},
     )

@@ -40,4 +40,7 @@ def quantity(value: float | None, unit: str, digits: int = 5) -> str:
 
 def percent(share: float | None) -> str:
     """Return a share with its sign in percent; "–" for one that is not there."""
-    return "–" if share is None else f"{100.0 * share:+.3g} %"
+    if share is None:
+        return "–"
+    # rounding of the frames' digits, not a difference
+    return f"{100.0 * share:+.3g} %" if abs(share) >= 1e-7 else "0 %"

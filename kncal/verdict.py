@@ -9,6 +9,9 @@ from kncal.metrics import ExactRow, MetricRow
 from kncal.model import Model
 from kncal.units import percent, quantity
 
+#: A difference without a tolerance that is larger than this is named all the same.
+NOTABLE = 0.1
+
 
 def sentences(
     models: tuple[Model, Model],
@@ -16,9 +19,15 @@ def sentences(
     exact: Sequence[ExactRow],
     costs: tuple[Cost, Cost],
     speed: Speed,
+    limits: Sequence[tuple[str, str]] = (),
 ) -> tuple[str, ...]:
-    """Return the verdict as sentences: the verdict itself, the speed, then notes (caveats, surprises)."""
-    return (_judgement(*models, rows), _speed(costs, speed), *speed.caveats, *_notes(rows, exact))
+    """Return the verdict as sentences: the verdict itself, the speed, then notes (limits, caveats, surprises).
+
+    ``limits`` are (warning code, sentence); attraction, which nearly every damped contact has, is left to the tables.
+    """
+    minded = [f"Mind: {text}." for code, text in limits if code != "attraction"]
+    notes = (*minded, *speed.caveats, *_notes(rows, exact))
+    return (_judgement(*models, rows), _speed(costs, speed), *notes)
 
 
 def _judgement(linear: Model, hertz: Model, rows: Sequence[MetricRow]) -> str:
@@ -69,7 +78,7 @@ def _speed(costs: tuple[Cost, Cost], speed: Speed) -> str:
     text += f" {_factor(speed.steps, 'steps')}. CPU time: {quantity(linear.cpu_seconds, 's', 3)} against"
     text += f" {quantity(hertz.cpu_seconds, 's', 3)}"
     if speed.cpu is None:
-        return f"{text}, too short for a ratio."
+        return f"{text}." if "builtin" in (linear.engine, hertz.engine) else f"{text}, too short for a ratio."
     text += f", {_factor(speed.cpu, 'CPU time')}"
     if min(linear.runs, hertz.runs) > 1:
         text += f" (ratio {speed.cpu_low:.2f} to {speed.cpu_high:.2f} over {linear.runs} and {hertz.runs} runs)"
@@ -86,6 +95,13 @@ def _factor(ratio: float, what: str) -> str:
 def _notes(rows: Sequence[MetricRow], exact: Sequence[ExactRow]) -> list[str]:
     notes = [f"{r.metric}: {r.reason}." for r in rows if r.verdict in ("ok", "outside") and r.reason]
     judged = any(r.tolerance is not None for r in rows)
+    ignored = [r for r in rows if judged and r.tolerance is None and abs(r.difference or 0.0) > NOTABLE]
+    if ignored:
+        worst = max(ignored, key=lambda r: abs(r.difference or 0.0))
+        notes.append(
+            f"Not judged, no tolerance is given: the largest such difference is {worst.metric}, "
+            f"{percent(worst.difference)}."
+        )
     blurred = [
         r.metric
         for r in rows
@@ -95,10 +111,7 @@ def _notes(rows: Sequence[MetricRow], exact: Sequence[ExactRow]) -> list[str]:
         and (r.tolerance is not None or not judged)
     ]
     if blurred:
-        notes.append(
-            f"No larger than the predicted discretisation error of the two runs: the difference of"
-            f" {', '.join(blurred)}."
-        )
+        notes.append(f"{', '.join(blurred)}: the two runs differ by no more than the predicted discretisation error.")
     odd = [f"{r.metric} ({r.model})" for r in exact if r.explained is False]
     if odd:
         notes.append(

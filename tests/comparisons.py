@@ -45,7 +45,7 @@ def run_data(
     planned = model(scene or on_wall(), kind, t_end=2.0)
     result = RunResult(
         status=status,
-        engine="builtin",
+        engine="liggghts",
         model=kind,
         folder=Path("runs") / kind,
         steps=steps,

@@ -53,6 +53,24 @@ def test_kn_json_agrees_with_the_api(capsys):
     assert "peratomtypepair 2" in data["liggghts"]
 
 
+@pytest.mark.parametrize(
+    "flags",
+    [
+        [],
+        ["--radius-2", "2e-3", "--young-2", "2e9"],
+        ["--against", "wall", "--young-2", "210e9", "--density-2", "7800"],
+        ["--against", "rigid-wall"],
+    ],
+)
+def test_the_block_to_paste_holds_the_numbers_of_the_table(capsys, flags):
+    _, out, _ = kncal(capsys, *KN, *flags, "--method", "max_overlap", "--json")
+    data = json.loads(out)
+    (row,) = [row for row in data["methods"] if row["method"] == "max_overlap"]
+    kn, gamman = (line.split()[7:] for line in data["liggghts"].splitlines() if line.startswith("fix"))
+    assert repr(row["k_n"]) in kn
+    assert any(float(x) == pytest.approx(row["gamma_n"], rel=1e-12) for x in gamman)
+
+
 def test_kn_table_names_every_method(capsys):
     from kncal.methods import METHODS
 

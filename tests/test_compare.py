@@ -183,11 +183,59 @@ def test_exact_and_predicted_stand_beside_the_difference():
     row = result.row("t_c")
     assert row.exact_difference == pytest.approx((1.0 - 2.0) / 2.2)
     assert row.numerical == pytest.approx(0.05 * (1.02 + 2.2) / 2.2)
-    assert "tighter than the discretisation error" in row.reason
+    assert row.reason == ""  # far outside: no matter of steps
     of_linear, of_hertz = result.exact
     assert (of_linear.deviation, of_linear.explained) == (pytest.approx(0.02), True)
     assert (of_hertz.deviation, of_hertz.explained) == (pytest.approx(0.1), False)
     assert any("t_c (hertz)" in sentence for sentence in result.sentences)
+
+
+def test_a_tolerance_below_the_discretisation_error_is_named_where_it_decides():
+    predicted = {"t_c": 0.05}
+    linear = run_data("linear", {"t_c": 2.21}, predicted=predicted)
+    hertz = run_data("hertz", {"t_c": 2.2}, predicted=predicted)
+    row = compare(linear, hertz, {"t_c": 0.01}).row("t_c")
+    assert "tighter than the discretisation error" in row.reason
+    same = compare(hertz, hertz, {"t_c": 0.01}).row("t_c")
+    assert same.reason == ""
+
+
+def test_what_limits_the_contacts_that_happened_is_in_the_verdict():
+    from kncal.observe import ContactEvent
+
+    event = ContactEvent(
+        pair=("bead", "floor"),
+        t_start=0.0,
+        t_c=1.0,
+        delta_max=1e-6,
+        delta_mean=5e-7,
+        v_in=1.0,
+        v_out=1.0,
+        e_n=1.0,
+        complete=True,
+    )
+    texts = {"yield": "the contact is plastic", "attraction": "the dashpot pulls"}
+
+    def limited(kind, met):
+        data = run_data(kind, {"e_n": 0.9})
+        contacts = {pair: replace(c, warnings=texts) for pair, c in data.model.contacts.items()}
+        observations = replace(data.observations, contacts=(event,) if met else ())
+        return replace(data, model=replace(data.model, contacts=contacts), observations=observations)
+
+    assert list(limited("linear", True).model.contacts) == [("bead", "floor")]
+    said = " ".join(compare(limited("linear", True), limited("hertz", True), {}).sentences)
+    assert "Mind: bead–floor: the contact is plastic." in said
+    assert "pulls" not in said  # nearly every damped contact has it: it stands in the tables
+    silent = " ".join(compare(limited("linear", False), limited("hertz", False), {}).sentences)
+    assert "no contact happened" in silent
+    assert "plastic" not in silent
+
+
+def test_a_large_difference_without_a_tolerance_is_named():
+    linear, hertz = (run_data(kind, {"e_n": 0.9, "t_c": t_c}) for kind, t_c in (("linear", 2.0), ("hertz", 1.0)))
+    said = " ".join(compare(linear, hertz, {"e_n": 0.1}).sentences)
+    assert "Not judged" in said
+    assert "t_c, +100 %" in said
 
 
 def test_an_exact_value_that_the_run_does_not_reach_stays_visible():

@@ -37,6 +37,12 @@ def test_nothing_moves_nothing_touches():
         plan(still)
 
 
+def test_a_ball_deep_in_the_wall_is_told_so():
+    deep = replace(FALL, particles=(replace(FALL.particles[0], position=(0.0, 0.0, 0.003)),))
+    with pytest.raises(CaseFileError, match=r"inside 'floor'.*position and diameter"):
+        plan(deep)
+
+
 @pytest.mark.parametrize("case", shipped_cases())
 def test_plan_of_every_case(case):
     scene = load_case(case)

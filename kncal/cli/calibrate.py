@@ -3,36 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
 from kncal.cli import show
+from kncal.cli.contact_flags import ContactFlags
 from kncal.errors import InputError
 
 if TYPE_CHECKING:
-    from kncal.material import Material, Pair
+    from kncal.material import Pair
 
-Young = Annotated[float | None, Parameter(name="--young", help="Young's modulus E [Pa]")]
-Poisson = Annotated[float, Parameter(name="--poisson", help="Poisson's ratio")]
-Density = Annotated[float | None, Parameter(name="--density", help="density [kg/m³]")]
-Radius = Annotated[float | None, Parameter(name="--radius", help="radius of the sphere [m]")]
-Speed = Annotated[float | None, Parameter(name=["--v0", "--v-0"], help="normal impact speed [m/s]")]
-Restitution = Annotated[
-    float | None, Parameter(name=["--en", "--e-n"], help="normal coefficient of restitution, in (0, 1]")
-]
-Law = Annotated[str, Parameter(name="--law", help="reference law, see `kncal laws`")]
-End = Annotated[
-    Literal["overlap", "force"], Parameter(name="--end", help="contact ends at zero overlap or at zero force")
-]
-Against = Annotated[
-    Literal["sphere", "wall", "rigid-wall"],
-    Parameter(name="--against", help="a second sphere, a wall of a material, or a rigid wall"),
-]
-Young2 = Annotated[float | None, Parameter(name="--young-2", help="of the second sphere or the wall")]
-Poisson2 = Annotated[float | None, Parameter(name="--poisson-2", help="of the second sphere or the wall")]
-Density2 = Annotated[float | None, Parameter(name="--density-2", help="of the second sphere or the wall")]
-Radius2 = Annotated[float | None, Parameter(name="--radius-2", help="of the second sphere [m]")]
 Json = Annotated[bool, Parameter(name="--json", negative="", help="print data for machines")]
 
 _COLUMNS = (
@@ -48,19 +29,7 @@ _COLUMNS = (
 def kn(
     case: str | None = None,
     *,
-    young: Young = None,
-    poisson: Poisson = 0.25,
-    density: Density = None,
-    radius: Radius = None,
-    v0: Speed = None,
-    en: Restitution = None,
-    law: Law = "tsuji",
-    end: End = "overlap",
-    against: Against = "sphere",
-    young_2: Young2 = None,
-    poisson_2: Poisson2 = None,
-    density_2: Density2 = None,
-    radius_2: Radius2 = None,
+    contact: ContactFlags | None = None,
     method: Annotated[str, Parameter(help="the method whose numbers go into the LIGGGHTS block")] = "mean_overlap",
     fraction: Annotated[float, Parameter(help="allowed overlap of limited_overlap, of the diameter")] = 0.01,
     t_c: Annotated[float | None, Parameter(name="--t-c", help="duration [s] for contact_time")] = None,
@@ -80,29 +49,23 @@ def kn(
     """
     options = {"fraction": fraction, "factor": factor}
     options |= {name: value for name, value in (("t_c", t_c), ("force", force)) if value is not None}
+    flags = contact or ContactFlags()
     if case is not None:
-        given = {"--young": young, "--density": density, "--radius": radius, "--v0": v0, "--en": en}
-        _refuse_both(case, given)
+        if given := flags.given():
+            raise InputError(
+                f"{given[0]} and the case {case!r}: the case holds these numbers; expected one or the other"
+            )
         _kn_case(case, options, steps_per_contact, json=json)
         return
-    pair = _pair(young, poisson, density, radius, against, young_2, poisson_2, density_2, radius_2)
-    speed, restitution = _needed("--v0", v0), _needed("--en", en)
-    block = _block(
-        _material(young, poisson, density),
-        _needed("--radius", radius),
-        speed,
-        restitution,
-        law,
-        method,
-        end,
-        options,
-    )
-    data = _kn_data(pair, speed, restitution, law, end, options, steps_per_contact)
+    pair, v_0, e_n = flags.pair(), flags.speed(), flags.restitution()
+    data = _kn_data(pair, v_0, e_n, flags.law, flags.end, options, steps_per_contact)
+    own = _own(method, options)
+    block = flags.matrix(method, own).liggghts()
     if json:
         show.as_json(data | {"liggghts": block})
         return
-    _kn_print("sphere on sphere" if against == "sphere" else against.replace("-", " "), data)
-    show.say(f"For a LIGGGHTS deck with this sphere (type 1) and walls of its material (type 2), {method}:\n")
+    _kn_print(flags.title(), data)
+    show.say(f"For a LIGGGHTS deck ({method}):\n")
     show.say(block)
 
 
@@ -149,7 +112,7 @@ def _kn_data(
     rows: list[dict[str, Any]] = []
     reference: dict[str, Any] = {}
     for name, row in METHODS.items():
-        own = {k: v for k, v in options.items() if k in (*row.required, *(row.optional or {}))}
+        own = _own(name, options)
         missing = [k for k in row.required if k not in own]
         if missing:
             rows.append({"method": name, "problem": f"needs --{missing[0].replace('_', '-')}"})
@@ -188,6 +151,7 @@ def _kn_print(name: str, data: dict[str, Any]) -> None:
     columns = ["method", *(c for c, _ in _COLUMNS), f"dt (N={n:g})"]
     rows = []
     warnings: dict[str, list[str]] = {}
+    kinds: dict[str, str] = {}
     for row in data["methods"]:
         if "problem" in row:
             rows.append([row["method"], row["problem"]] + [""] * (len(columns) - 2))
@@ -201,6 +165,8 @@ def _kn_print(name: str, data: dict[str, Any]) -> None:
         )
         for warning in row["warnings"]:
             warnings.setdefault(warning["message"], []).append(row["method"])
+            # nearly every damped contact attracts at its end: worth knowing, no reason to worry
+            kinds[warning["message"]] = "note" if warning["code"] == "attraction" else "warning"
     if reference:
         dt = next(r["dt_hertz"] for r in data["methods"] if "problem" not in r)
         rows.append(
@@ -217,54 +183,20 @@ def _kn_print(name: str, data: dict[str, Any]) -> None:
     valid = sum("problem" not in row for row in data["methods"])
     for message, methods in warnings.items():
         who = "all methods" if len(methods) == valid else ", ".join(methods)
-        show.say(f"  warning ({who}): {message}")
+        show.say(f"  {kinds[message]} ({who}): {message}")
     show.say(f"  contact ends at zero {data['end']}; the paper's three methods as reconstructed\n")
 
 
-def _block(
-    material: Material,
-    radius: float,
-    v_0: float,
-    e_n: float,
-    law: str,
-    method: str,
-    end: Any,
-    options: dict[str, Any],
-) -> str:
-    from kncal.matrix import calibrate_matrix
+def _own(method: str, options: dict[str, Any]) -> dict[str, Any]:
     from kncal.methods import get_method
 
     row = get_method(method)
-    own = {k: v for k, v in options.items() if k in (*row.required, *(row.optional or {}))}
-    matrix = calibrate_matrix(
-        {"sphere": (material, radius)},
-        {"wall": material},
-        v_0=v_0,
-        e_n=e_n,
-        law=law,
-        method=method,
-        end=end,
-        **own,
-    )
-    limit = "limitForce on" if end == "force" else "limitForce off: the contact ends at zero overlap"
-    return f"# hooke/stiffness, {limit}\n{matrix.liggghts()}"
+    return {k: v for k, v in options.items() if k in (*row.required, *(row.optional or {}))}
 
 
 def collide(
     *,
-    young: Young = None,
-    poisson: Poisson = 0.25,
-    density: Density = None,
-    radius: Radius = None,
-    v0: Speed = None,
-    en: Restitution = None,
-    law: Law = "tsuji",
-    end: End = "overlap",
-    against: Against = "sphere",
-    young_2: Young2 = None,
-    poisson_2: Poisson2 = None,
-    density_2: Density2 = None,
-    radius_2: Radius2 = None,
+    contact: ContactFlags | None = None,
     method: Annotated[str, Parameter(help="how the linear contact is found")] = "mean_overlap",
     out: Annotated[Path, Parameter(help="picture to write (.png or .svg)")] = Path("collide.png"),
     json: Json = False,
@@ -276,8 +208,11 @@ def collide(
     from kncal.calibration import calibrate
     from kncal.collision import plot_collision
 
-    pair = _pair(young, poisson, density, radius, against, young_2, poisson_2, density_2, radius_2)
-    calibration = calibrate(pair, v_0=_needed("--v0", v0), e_n=_needed("--en", en), law=law, method=method, end=end)
+    flags = contact or ContactFlags()
+    pair = flags.pair()
+    calibration = calibrate(
+        pair, v_0=flags.speed(), e_n=flags.restitution(), law=flags.law, method=method, end=flags.end
+    )
     plot_collision(calibration, out)
     data = calibration.to_dict()
     if json:
@@ -288,11 +223,8 @@ def collide(
         for name, unit in (("t_c", "s"), ("delta_max", "m"), ("delta_mean", "m"), ("delta_end", "m"))
     ]
     rows.append(["stiffness", show.quantity(float(pair.k_h), "N/m^1.5"), show.quantity(data["k_n"], "N/m")])
-    show.table(
-        f"one impact at {data['v_0']:g} m/s, e_n = {data['e_n']:g}",
-        ["", law, f"linear ({method})"],
-        rows,
-    )
+    title = f"{flags.title()}: one impact at {data['v_0']:g} m/s, e_n = {data['e_n']:g}"
+    show.table(title, ["", flags.law, f"linear ({method})"], rows)
     for warning in data["warnings"]:
         show.say(f"  warning: {warning['message']}")
     show.say(f"picture: {out}")
@@ -328,54 +260,3 @@ def laws(*, json: Json = False) -> None:
         text=(0, 1, 2, 3),
         fold=True,
     )
-
-
-def _needed(flag: str, value: float | None) -> float:
-    if value is None:
-        raise InputError(f"{flag} is missing: give the contact by flags (see `kncal kn --help`) or name a case")
-    return value
-
-
-def _refuse_both(case: str, given: dict[str, float | None]) -> None:
-    both = [flag for flag, value in given.items() if value is not None]
-    if both:
-        raise InputError(f"{both[0]} and the case {case!r}: the case holds these numbers; expected one or the other")
-
-
-def _material(young: float | None, poisson: float, density: float | None) -> Material:
-    from kncal.material import Material
-
-    return Material(young=_needed("--young", young), poisson=poisson, density=_needed("--density", density))
-
-
-def _pair(
-    young: float | None,
-    poisson: float,
-    density: float | None,
-    radius: float | None,
-    against: str,
-    young_2: float | None,
-    poisson_2: float | None,
-    density_2: float | None,
-    radius_2: float | None,
-) -> Pair:
-    from kncal.material import Material, pair, wall_pair
-
-    first = _material(young, poisson, density)
-    r = _needed("--radius", radius)
-    second = None
-    if any(value is not None for value in (young_2, poisson_2, density_2)):
-        second = Material(
-            young=first.young if young_2 is None else young_2,
-            poisson=first.poisson if poisson_2 is None else poisson_2,
-            density=first.density if density_2 is None else density_2,
-        )
-    if against == "sphere":
-        return pair(first, r, second, radius_2)
-    if radius_2 is not None:
-        raise InputError(
-            f"--radius-2 = {radius_2:g}: a wall is flat; expected no second radius with --against {against}"
-        )
-    if against == "rigid-wall":
-        return wall_pair(first, r, None)
-    return wall_pair(first, r, second or first)

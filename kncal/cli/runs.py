@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -13,6 +13,7 @@ from kncal.errors import InputError
 
 if TYPE_CHECKING:
     from kncal.compare import Comparison, RunData
+    from kncal.model import Model
     from kncal.scene import Scene
 
 Json = Annotated[bool, Parameter(name="--json", negative="", help="print data for machines")]
@@ -215,11 +216,14 @@ def _report(comparison: Comparison, folder: Path) -> Path:
     return report_on(comparison, folder)
 
 
-def _print_warnings(models: Any) -> None:
-    for kind, model in models.items():
-        for (a, b), contact in model.contacts.items():
-            for warning in contact.warnings:
-                show.say(f"  warning ({kind}, {a}–{b}): {warning}")
+def _print_warnings(models: Mapping[str, Model]) -> None:
+    pairs: dict[str, list[str]] = {}
+    for model in models.values():
+        for pair, contact in model.contacts.items():
+            for text in contact.warnings.values():
+                pairs.setdefault(text, []).append("–".join(pair))
+    for text, names in pairs.items():
+        show.say(f"  warning ({', '.join(dict.fromkeys(names))}): {text}")
 
 
 def _print_comparison(comparison: Comparison) -> None:
