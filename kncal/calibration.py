@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kncal.checks import Array, in_range, one_of
+from kncal.checks import Array, common_shape, in_range, instance, one_of, positive_result
 from kncal.contact.base import ContactLaw
 from kncal.contact.registry import get_law
 from kncal.impact import DimensionlessImpact, dimensionless_impact
@@ -21,9 +21,12 @@ if TYPE_CHECKING:
 
 #: Contact ends: overlap back to zero, or force back to zero (attraction cut off).
 ENDS = ("overlap", "force")
+#: Impact speeds served [m/s]: from nearly at rest to far beyond every elastic wave.
+SPEEDS = (1e-12, 1e5)
+PAIR_SOURCE = "made by kncal.pair or kncal.wall_pair"
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class ReferenceContact:
     """The reference contact at the same impact, in physical units.
 
@@ -40,11 +43,11 @@ class ReferenceContact:
     delta_end: FloatOrArray
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Calibration:
     """The linear spring–dashpot equivalent to a reference contact, and what to think of it.
 
-    Floats for scalar input; otherwise arrays of the broadcast shape of all inputs.
+    Floats for scalar input; otherwise arrays of the broadcast shape of all inputs (``pair`` stays as it was given).
 
     Attributes
     ----------
@@ -87,7 +90,7 @@ class Calibration:
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready dict (arrays become lists, warnings become dicts with code and message)."""
-        numbers = {name: _listed(getattr(self, name)) for name in (*_COLUMNS, "v_0", "e_n")}
+        numbers = {name: _listed(getattr(self, name)) for name in (*COLUMNS, "v_0", "e_n")}
         reference = {f.name: _listed(getattr(self.reference, f.name)) for f in fields(self.reference)}
         pair = {n: _listed(getattr(self.pair, n)) for n in ("m_eff", "R_eff", "E_eff", "k_h")}
         return {
@@ -104,17 +107,26 @@ class Calibration:
         """Return one row per calibration; the columns carry the names of the attributes (SI units)."""
         import pandas as pd
 
-        shape = np.shape(self.k_n)
         columns: dict[str, Any] = {"law": self.law, "method": self.method, "end": self.end}
-        for name in ("v_0", "e_n", *_COLUMNS):
-            columns[name] = np.broadcast_to(getattr(self, name), shape).ravel()
+        for name in ("v_0", "e_n", *COLUMNS):
+            columns[name] = np.ravel(getattr(self, name))
         for name in ("t_c", "delta_max", "delta_mean"):
-            columns[f"reference_{name}"] = np.broadcast_to(getattr(self.reference, name), shape).ravel()
-        columns["warnings"] = "; ".join(w.code for w in self.warnings)
+            columns[f"reference_{name}"] = np.ravel(getattr(self.reference, name))
+        columns["warnings"] = self._codes()
         return pd.DataFrame(columns)
 
+    def _codes(self) -> list[str]:
+        """Codes of the warnings that concern each element, joined by "; "."""
+        shape = np.shape(self.k_n)
+        codes = np.full(np.size(self.k_n), "", dtype=object)
+        for warning in self.warnings:
+            concerned = np.broadcast_to(warning.where, shape).ravel()
+            codes[concerned] += f"; {warning.code}"
+        return [text.removeprefix("; ") for text in codes]
 
-_COLUMNS = ("k_n", "eta_n", "kappa", "t_c", "delta_max", "delta_mean", "delta_end")
+
+#: Numbers of the linear contact, in the order of tables.
+COLUMNS = ("k_n", "eta_n", "kappa", "t_c", "delta_max", "delta_mean", "delta_end")
 
 
 def calibrate(
@@ -137,9 +149,9 @@ def calibrate(
     pair : Pair
         From `kncal.pair` or `kncal.wall_pair`.
     v_0 : float or array
-        Normal impact speed [m/s], > 0.
+        Normal impact speed [m/s], 1e-12 to 1e5.
     e_n : float or array
-        Normal coefficient of restitution, in (0, 1].
+        Normal coefficient of restitution, 1e-12 to 1 (for most laws from 1e-3 on).
     law : str or ContactLaw
         Reference law. "hertz" has no damping of its own: for e_n < 1 the elastic reference is kept, the spring gets
         the damping of e_n, and a warning says so. For the linear laws ("linear", "walton_braun") the loading
@@ -150,51 +162,51 @@ def calibrate(
         Where the contact ends: at zero overlap, or at zero force (attraction cut off). Choose what the target code
         does: LIGGGHTS and MFIX end at zero overlap, LIGGGHTS with ``limitForce on`` and YADE at zero force.
     **method_options
-        Options of the method, e.g. ``fraction=0.01`` for limited_overlap.
+        Options of the method, e.g. ``fraction=0.01`` for limited_overlap; numbers may be arrays.
 
     Raises
     ------
     InputError
-        For a value that is not finite or out of range, or an unknown name.
+        For a value that is not finite or out of range, arrays that do not broadcast, or an unknown name.
     ValidityError
         If an overlap reaches the radius of the smaller sphere.
     """
-    speed = plain(
-        in_range("v_0", v_0, 0.0, 1e5, low_open=True, unit="m/s", hint="a resting contact: method 'static_load'")
-    )
+    instance("pair", pair, Pair, PAIR_SOURCE)
+    speed = plain(in_range("v_0", v_0, *SPEEDS, unit="m/s", hint="a resting contact: method 'static_load'"))
     restitution = plain(in_range("e_n", e_n, 0.0, 1.0, low_open=True))
     one_of("end", end, ENDS)
     chosen = get_method(method)
     options = chosen.options(method_options)
     contact_law = get_law(law)
+    shape = common_shape(pair=pair, v_0=speed, e_n=restitution, **options)
 
     elastic = contact_law.name == "hertz"
     reference = dimensionless_impact(contact_law, np.ones_like(restitution) if elastic else restitution, end)
     linear = dimensionless_impact("linear", restitution, end)
-    base = pair.k_h**0.8 * pair.m_eff**0.2 * speed**0.4
-    scale = KAPPA_STRAIN_ENERGY if contact_law.stiffness_exponent == 1.0 else 1.0
+    base = _base(pair, speed)
+    scale = _scale(contact_law)
 
     kappa = chosen.kappa(
         MethodInputs(pair=pair, v_0=speed, base=base, scale=scale, reference=reference, linear=linear, options=options)
     )
-    k_n = _broadcast(kappa * base, kappa, restitution, base)
-    kappa = _broadcast(kappa, k_n)
+    k_n = kappa * base
+    positive_result("k_n [N/m]", k_n, " or ".join(("pair", "v_0", "e_n", *options)))
     time = np.sqrt(pair.m_eff / k_n)
     length = speed * time
     reference_time = np.sqrt(pair.m_eff / (scale * base))
     calibration = Calibration(
-        k_n=k_n,
-        eta_n=plain(np.asarray(linear.C * (k_n * time))),
-        kappa=kappa,
-        t_c=plain(np.asarray(linear.tau_c * time)),
-        delta_max=plain(np.asarray(linear.x_max * length)),
-        delta_mean=plain(np.asarray(linear.x_mean * length)),
-        delta_end=plain(np.asarray(linear.x_end * length)),
-        reference=_reference(reference, reference_time, speed),
+        k_n=_full(k_n, shape),
+        eta_n=_full(linear.C * (k_n * time), shape),
+        kappa=_full(kappa, shape),
+        t_c=_full(linear.tau_c * time, shape),
+        delta_max=_full(linear.x_max * length, shape),
+        delta_mean=_full(linear.x_mean * length, shape),
+        delta_end=_full(linear.x_end * length, shape),
+        reference=_reference(reference, reference_time, speed, shape),
         warnings=(),
         pair=pair,
-        v_0=speed,
-        e_n=restitution,
+        v_0=_full(speed, shape),
+        e_n=_full(restitution, shape),
         law=contact_law.name,
         method=chosen.name,
         end=end,
@@ -203,19 +215,34 @@ def calibrate(
     return replace(calibration, warnings=check_validity(calibration, contact_law, linear))
 
 
-def _reference(impact: DimensionlessImpact, time: FloatOrArray, speed: FloatOrArray) -> ReferenceContact:
+def reference_stiffness(pair: Pair, v_0: FloatOrArray, law: ContactLaw) -> FloatOrArray:
+    """m_eff v_0²/L² of the reference contact [N/m], L its length unit; for a linear law its (loading) spring."""
+    return _scale(law) * _base(pair, v_0)
+
+
+def _base(pair: Pair, v_0: FloatOrArray) -> FloatOrArray:
+    return pair.k_h**0.8 * pair.m_eff**0.2 * v_0**0.4
+
+
+def _scale(law: ContactLaw) -> float:
+    return KAPPA_STRAIN_ENERGY if law.stiffness_exponent == 1.0 else 1.0
+
+
+def _reference(
+    impact: DimensionlessImpact, time: FloatOrArray, speed: FloatOrArray, shape: tuple[int, ...]
+) -> ReferenceContact:
     length = speed * time
     return ReferenceContact(
-        C=impact.C,
-        t_c=plain(np.asarray(impact.tau_c * time)),
-        delta_max=plain(np.asarray(impact.x_max * length)),
-        delta_mean=plain(np.asarray(impact.x_mean * length)),
-        delta_end=plain(np.asarray(impact.x_end * length)),
+        C=_full(impact.C, shape),
+        t_c=_full(impact.tau_c * time, shape),
+        delta_max=_full(impact.x_max * length, shape),
+        delta_mean=_full(impact.x_mean * length, shape),
+        delta_end=_full(impact.x_end * length, shape),
     )
 
 
-def _broadcast(value: FloatOrArray, *others: FloatOrArray) -> FloatOrArray:
-    shape = np.broadcast_shapes(np.shape(value), *(np.shape(o) for o in others))
+def _full(value: FloatOrArray, shape: tuple[int, ...]) -> FloatOrArray:
+    """Return ``value`` with ``shape``: a float for (), else an array of its own."""
     array: Array = np.asarray(value, dtype=np.float64)
     return plain(array if array.shape == shape else np.broadcast_to(array, shape).copy())
 

@@ -1,8 +1,10 @@
-"""One wording for every refusal of a bad number: argument, value, range, and what to do."""
+"""One wording for every refusal of a bad argument: its name, the value, what was expected, and what to do."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,6 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 from kncal.errors import InputError
 
 Array = NDArray[np.float64]
+_T = TypeVar("_T")
+
+#: What may be written into solver input as a name: nothing in it can be a command.
+NAME_PATTERN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 
 
 def as_floats(name: str, value: ArrayLike) -> Array:
@@ -18,9 +24,16 @@ def as_floats(name: str, value: ArrayLike) -> Array:
     Raises
     ------
     InputError
-        If a value is not a number, complex, boolean, NaN or infinite.
+        If a value is not a number, complex, boolean, NaN, infinite or masked, lists are ragged, or there is none.
     """
-    given = np.asarray(value)
+    if np.ma.is_masked(value):
+        raise InputError(f"{name} has masked elements: expected a number in each; leave the masked ones out")
+    try:
+        given = np.asarray(value)
+    except ValueError:
+        raise InputError(f"{name} = {value!r}: expected rows of equal length") from None
+    if given.size == 0:
+        raise InputError(f"{name} has shape {given.shape}: expected at least one value")
     if given.dtype.kind not in "iuf":
         raise InputError(f"{name} = {value!r}: expected a real number (or an array of them), in SI units")
     numbers = given.astype(np.float64)
@@ -55,12 +68,61 @@ def in_range(
         text = f"{name} = {_first(numbers, bad)}: expected a value in {bracket}{low:g}, {upper}"
         text += f" {unit}" if unit else ""
         raise InputError(f"{text}; {hint}" if hint else text)
-    return numbers
+    return numbers + 0.0  # a zero, not a negative one: its sign would reach decks
 
 
 def positive(name: str, value: ArrayLike, *, unit: str = "", hint: str = "") -> Array:
     """Return ``value`` as a float array of positive finite numbers; see `in_range` for the error."""
     return in_range(name, value, 0.0, np.inf, low_open=True, unit=unit, hint=hint)
+
+
+def single(name: str, value: ArrayLike) -> float:
+    """Return ``value`` as a float; refuse what is not one finite real number (also an array of one)."""
+    numbers = as_floats(name, value)
+    if numbers.ndim != 0:
+        raise InputError(f"{name} has shape {numbers.shape}: expected a single number")
+    return float(numbers)
+
+
+def common_shape(**given: Any) -> tuple[int, ...]:
+    """Return the shape that checked arguments (numbers, or objects with a ``shape``) broadcast to.
+
+    Raises
+    ------
+    InputError
+        Naming the arguments that are arrays, with their shapes, if they do not fit together.
+    """
+    shapes = {name: np.shape(value) for name, value in given.items()}
+    try:
+        return np.broadcast_shapes(*shapes.values())
+    except ValueError:
+        seen = ", ".join(f"{name} {shape}" for name, shape in shapes.items() if shape)
+        raise InputError(f"shapes do not fit together: {seen}; expected shapes that broadcast") from None
+
+
+def positive_result(what: str, value: ArrayLike, arguments: str) -> None:
+    """Refuse a result that is not finite and positive: the ``arguments`` are beyond what floats can hold."""
+    numbers = np.asarray(value)
+    bad = ~(np.isfinite(numbers) & (numbers > 0.0))
+    if bad.any():
+        raise InputError(f"{what} would be {_first(numbers, bad)}: expected a less extreme {arguments}")
+
+
+def instance(name: str, value: object, kind: type[_T], source: str) -> _T:
+    """Return ``value`` if it is a ``kind``; else `InputError`, saying what makes one (``source``)."""
+    if isinstance(value, kind):
+        return value
+    raise InputError(f"{name} = {value!r}: expected a {kind.__name__} ({source})")
+
+
+def plain_name(name: str, value: object) -> str:
+    """Return ``value`` if it is a name of 1 to 64 letters, digits, ``.``, ``_`` or ``-``, else raise `InputError`."""
+    if isinstance(value, str) and NAME_PATTERN.fullmatch(value):
+        return value
+    raise InputError(
+        f"{name} {value!r}: expected a name of at most 64 letters (A-Z, a-z), digits, '.', '_' and '-', starting "
+        "with a letter or a digit (names are written into solver input)"
+    )
 
 
 def one_of(name: str, value: object, allowed: Collection[str]) -> str:

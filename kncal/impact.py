@@ -11,14 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kncal.checks import Array, in_range, one_of
+from kncal.checks import Array, in_range, one_of, single
 from kncal.contact.base import ENDS, ContactLaw
 from kncal.contact.registry import get_law
 from kncal.errors import InputError
 from kncal.material import FloatOrArray, plain
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class DimensionlessImpact:
     """The impact of one law; floats for a scalar e_n, else arrays of its shape.
 
@@ -44,7 +44,7 @@ class DimensionlessImpact:
     x_end: FloatOrArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ImpactPath:
     """One impact over time, from touch (tau = 0) to the end of the contact; arrays of shape (n,)."""
 
@@ -65,8 +65,8 @@ def dimensionless_impact(law: str | ContactLaw, e_n: ArrayLike, end: str = "over
     ----------
     law : registry name, or a law object of your own (for instance `kncal.contact.polar.HertzDashpot`)
     e_n : float or array
-        Normal coefficient of restitution in (0, 1]; at least 1e-3 where the law has no closed form, exactly 1 for
-        "hertz".
+        Normal coefficient of restitution, 1e-12 to 1; at least 1e-3 where the law has no closed form, exactly 1
+        for "hertz".
     end : "overlap" (the contact ends when the overlap returns to zero) or "force" (when the force does)
 
     Raises
@@ -91,8 +91,7 @@ def impact_path(law: str | ContactLaw, e_n: float, end: str = "overlap", n: int 
     InputError
         As `dimensionless_impact`; also if e_n is not a single number or n is not an integer of at least 2.
     """
-    if np.ndim(e_n) != 0:
-        raise InputError(f"e_n has shape {np.shape(e_n)}: expected a single number")
+    e_n = single("e_n", e_n)
     if isinstance(n, bool) or not isinstance(n, (int, np.integer)) or n < 2:
         raise InputError(f"n = {n!r}: expected an integer of at least 2")
     chosen = get_law(law)
@@ -107,7 +106,5 @@ def _restitution(law: ContactLaw, e_n: ArrayLike, end: str) -> Array:
     hint = "a restitution is rebound speed over impact speed; e_n = 0 has no finite solution"
     e = in_range("e_n", e_n, 0.0, 1.0, low_open=True, hint=hint)
     lowest = law.e_min(end)
-    if lowest > 0.0:
-        hint = f"the smallest supported e_n of law {law.name!r} with end {end!r} is {lowest:g}"
-        in_range("e_n", e, lowest, 1.0, hint=hint)
-    return e
+    hint = f"the smallest supported e_n of law {law.name!r} with end {end!r} is {lowest:g}"
+    return in_range("e_n", e, lowest, 1.0, hint=hint)

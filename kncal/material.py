@@ -5,14 +5,18 @@ Sources: Johnson, *Contact Mechanics* (1985), ch. 4, for the effective radius an
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kncal.checks import Array, in_range, positive
+from kncal.checks import Array, common_shape, in_range, instance
 
 FloatOrArray = float | Array
+
+#: Radii that have a contact mechanics [m]: from a few atoms to a kilometre.
+RADII = (1e-9, 1e3)
+_MATERIAL = "made by kncal.Material"
 
 
 def plain(value: Array) -> FloatOrArray:
@@ -21,7 +25,7 @@ def plain(value: Array) -> FloatOrArray:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Material:
+class Material:  # noqa: PLW1641 - the dataclass makes its hash
     """An isotropic elastic material.
 
     Parameters
@@ -33,14 +37,14 @@ class Material:
     density : float or array
         Density [kg/m³], 10 to 1e6 (a value below is nearly always one in g/cm³).
     yield_strength : float or array, optional
-        Yield strength [Pa]; given, a calibration says when the impact would be plastic.
+        Yield strength [Pa], 1 to 1e13; given, a calibration says when the impact would be plastic.
     name : str
         For tables and messages.
 
     Raises
     ------
     InputError
-        If a value is not finite or out of its range.
+        If a value is not finite or out of its range, or arrays do not broadcast.
     """
 
     young: FloatOrArray
@@ -58,9 +62,21 @@ class Material:
             "density": in_range("density", self.density, 10.0, 1e6, unit="kg/m³", hint="2.5 g/cm³ is 2500 kg/m³"),
         }
         if self.yield_strength is not None:
-            checked["yield_strength"] = positive("yield_strength", self.yield_strength, unit="Pa")
+            checked["yield_strength"] = in_range("yield_strength", self.yield_strength, 1.0, 1e13, unit="Pa")
+        common_shape(**checked)
         for key, value in checked.items():
             object.__setattr__(self, key, plain(value))
+
+    def __eq__(self, other: object) -> bool:
+        """Whether every value is the same, also where they are arrays."""
+        if not isinstance(other, Material):
+            return NotImplemented
+        return all(np.array_equal(getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape that the values broadcast to; () for floats."""
+        return _shape(self)
 
     @property
     def shear(self) -> FloatOrArray:
@@ -78,7 +94,7 @@ class Material:
         return (2.0 - self.poisson) / self.shear
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Pair:
     """Two bodies in contact (sphere–sphere or sphere–flat wall). Made by `pair` and `wall_pair`.
 
@@ -110,6 +126,11 @@ class Pair:
     is_wall: bool
 
     @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape that the fields broadcast to; () for floats."""
+        return _shape(self)
+
+    @property
     def k_h(self) -> FloatOrArray:
         """Hertz stiffness (4/3) E_eff sqrt(R_eff) [N/m^1.5]: F = k_h delta^1.5."""
         return 4.0 / 3.0 * self.E_eff * np.sqrt(self.R_eff)
@@ -123,14 +144,20 @@ class Pair:
         return 4.0 * self.G_eff / self.E_eff
 
 
+def _shape(of: Material | Pair) -> tuple[int, ...]:
+    values = (getattr(of, f.name) for f in fields(of))
+    return np.broadcast_shapes(*(value.shape for value in values if isinstance(value, np.ndarray)))
+
+
 def sphere_mass(material: Material, radius: FloatOrArray) -> FloatOrArray:
     """Mass of a solid sphere [kg]."""
     return material.density * (4.0 / 3.0 * np.pi) * radius**3
 
 
-def _radius(name: str, value: ArrayLike) -> FloatOrArray:
+def checked_radius(name: str, value: ArrayLike) -> FloatOrArray:
+    """Return a sphere's radius [m] as a float or an array; `InputError` outside `RADII`."""
     hint = "a radius is in m: 1 mm is 1e-3"
-    return plain(in_range(name, value, 0.0, 1e3, low_open=True, unit="m", hint=hint))
+    return plain(in_range(name, value, *RADII, unit="m", hint=hint))
 
 
 def _smaller(a: FloatOrArray | None, b: FloatOrArray | None) -> FloatOrArray | None:
@@ -151,16 +178,18 @@ def pair(
     ----------
     material_1, material_2 : Material
     radius_1, radius_2 : float or array
-        Radii [m].
+        Radii [m], 1e-9 to 1e3.
 
     Raises
     ------
     InputError
-        If a radius is not finite, not positive or above 1 km.
+        If a radius is not finite or out of its range, a material is none, or arrays do not broadcast.
     """
-    other = material_1 if material_2 is None else material_2
-    r_1 = _radius("radius_1", radius_1)
-    r_2 = r_1 if radius_2 is None else _radius("radius_2", radius_2)
+    instance("material_1", material_1, Material, _MATERIAL)
+    other = material_1 if material_2 is None else instance("material_2", material_2, Material, _MATERIAL)
+    r_1 = checked_radius("radius_1", radius_1)
+    r_2 = r_1 if radius_2 is None else checked_radius("radius_2", radius_2)
+    common_shape(material_1=material_1, radius_1=r_1, material_2=other, radius_2=r_2)
     m_1, m_2 = sphere_mass(material_1, r_1), sphere_mass(other, r_2)
     smaller, larger = np.minimum(r_1, r_2), np.maximum(r_1, r_2)
     return Pair(
@@ -183,10 +212,12 @@ def wall_pair(material: Material, radius: ArrayLike, wall_material: Material | N
     Raises
     ------
     InputError
-        If the radius is not finite, not positive or above 1 km.
+        If the radius is not finite or out of 1e-9 to 1e3 m, a material is none, or arrays do not broadcast.
     """
-    r = _radius("radius", radius)
-    walls = () if wall_material is None else (wall_material,)
+    instance("material", material, Material, _MATERIAL)
+    walls = () if wall_material is None else (instance("wall_material", wall_material, Material, _MATERIAL),)
+    r = checked_radius("radius", radius)
+    common_shape(material=material, radius=r, wall_material=walls[0] if walls else 0.0)
     speed_squared = material.young / material.density
     strength = material.yield_strength
     for wall in walls:

@@ -6,21 +6,24 @@ tuned to e_n = 0.9 for an equal pair it gives 0.8615 at a wall. The matrix form 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kncal.calibration import Calibration, calibrate
-from kncal.checks import Array
-from kncal.errors import InputError
+from kncal.calibration import COLUMNS, Calibration, calibrate
+from kncal.checks import Array, one_of, plain_name, single
+from kncal.errors import InputError, KncalError
 from kncal.material import Material, pair, wall_pair
 
 if TYPE_CHECKING:
     import pandas as pd
 
-#: A value for every pair, or one per pair of names (in any order; missing pairs are an error).
+#: What `PairMatrix.matrix` serves.
+QUANTITIES = (*COLUMNS, "gamma_n", "zeta", "v_0", "e_n")
+
+#: A value for every pair, or one per pair of names (in any order; missing and unknown pairs are an error).
 PerPair = float | Mapping[tuple[str, str], float]
 
 
@@ -38,6 +41,11 @@ class PairMatrix:
     walls: tuple[str, ...]
     calibrations: Mapping[tuple[str, str], Calibration]
 
+    def __post_init__(self) -> None:
+        # They go into decks, where a line break would start a command.
+        for name in self.names:
+            plain_name("name", name)
+
     @property
     def names(self) -> tuple[str, ...]:
         """Particle types, then walls: the order of the matrices (type 1, 2, ... of a LIGGGHTS deck)."""
@@ -45,20 +53,24 @@ class PairMatrix:
 
     def __getitem__(self, names: tuple[str, str]) -> Calibration:
         """Return the calibration of two names, in any order."""
-        for key in (names, names[::-1]):
-            if key in self.calibrations:
-                return self.calibrations[key]
-        known = ", ".join(f"{a}–{b}" for a, b in self.calibrations)
-        raise InputError(f"no contact between {names[0]!r} and {names[1]!r}: expected one of {known}")
+        if (key := _known(names, self.calibrations)) is not None:
+            return self.calibrations[key]
+        raise InputError(f"no contact {names!r}: expected two names of {_listed(self.calibrations)}")
 
     def matrix(self, quantity: str) -> Array:
-        """Return an attribute of the calibrations ("k_n", "eta_n", "gamma_n", "t_c" ...) as a symmetric matrix.
+        """Return a number of the calibrations ("k_n", "eta_n", "gamma_n", "t_c" ...) as a symmetric matrix.
 
         Returns
         -------
         (n, n) array in the order of `names`. Two walls never touch; their entries repeat the largest of the others,
         since a solver wants a number there.
+
+        Raises
+        ------
+        InputError
+            For another quantity.
         """
+        one_of("quantity", quantity, QUANTITIES)
         size = len(self.names)
         out = np.zeros((size, size))
         index = {name: i for i, name in enumerate(self.names)}
@@ -92,10 +104,16 @@ class PairMatrix:
         return pd.concat(frames, ignore_index=True)
 
     def liggghts(self) -> str:
-        """Return deck lines for `hooke/stiffness`: kn and gamman of every type pair, 17 digits."""
+        """Return deck lines for `hooke/stiffness`: kn and gamman of every type pair, 17 digits.
+
+        A comment says which `limitForce` the numbers are for: it decides where a contact ends, so e_n depends on it.
+        """
         size = len(self.names)
+        force_end = any(c.end == "force" for c in self.calibrations.values())
+        limit = "on: the contact ends at zero force" if force_end else "off: the contact ends at zero overlap"
         types = ", ".join(f"{i} = {name}" for i, name in enumerate(self.names, 1))
-        lines = [f"# atom types: {types}", f"# k_n [N/m] and damping per effective mass [1/s], {size}x{size}"]
+        lines = [f"# hooke/stiffness with limitForce {limit}", f"# atom types: {types}"]
+        lines += [f"# k_n [N/m] and damping per effective mass [1/s], {size}x{size}"]
         for prop, quantity in (("kn", "k_n"), ("gamman", "gamma_n")):
             numbers = " ".join(repr(float(x)) for x in self.matrix(quantity).ravel())
             lines.append(f"fix {prop} all property/global {prop} peratomtypepair {size} {numbers}")
@@ -115,40 +133,77 @@ def calibrate_matrix(
 ) -> PairMatrix:
     """Calibrate every pair of ``particles`` (name -> material, radius [m]) and ``walls`` (name -> material or None).
 
-    Parameters are those of `kncal.calibrate`; ``v_0`` and ``e_n`` may be mappings (name, name) -> value.
+    Parameters are those of `kncal.calibrate`, single numbers only; ``v_0`` and ``e_n`` may be mappings
+    (name, name) -> value. A name has at most 64 letters, digits, ``.``, ``_`` and ``-``.
 
     Raises
     ------
     InputError
-        As `calibrate`, with the names of the pair; if no particle type is given; if a name occurs twice.
+        As `calibrate`, with the names of the pair; if no particle type is given; if a name occurs twice or could not
+        be written into a deck; if a mapping lacks a pair, names an unknown one, or names one twice.
+    ValidityError
+        As `calibrate`, with the names of the pair.
     """
-    walls = walls or {}
+    walls = {} if walls is None else walls
+    for argument, given in (("particles", particles), ("walls", walls)):
+        if not isinstance(given, Mapping):
+            raise InputError(f"{argument} = {given!r}: expected a mapping from names")
+        for name in given:
+            plain_name(f"name in {argument}", name)
     if not particles:
         raise InputError("particles = {}: expected at least one particle type")
     if both := sorted(set(particles) & set(walls)):
         raise InputError(f"name {both[0]!r} is a particle type and a wall: expected distinct names")
-    names = list(particles)
-    contacts = {(a, b): pair(*particles[a], *particles[b]) for i, a in enumerate(names) for b in names[i:]} | {
-        (a, w): wall_pair(*particles[a], walls[w]) for a in names for w in walls
-    }
+    bodies = {name: _body(name, given) for name, given in particles.items()}
+    names = list(bodies)
+    keys = [(a, b) for i, a in enumerate(names) for b in names[i:]] + [(a, w) for a in names for w in walls]
+    speeds, restitutions = _per_pair("v_0", v_0, keys), _per_pair("e_n", e_n, keys)
     calibrations = {}
-    for key, contact in contacts.items():
-        calibrations[key] = calibrate(
-            contact,
-            v_0=_value("v_0", v_0, key),
-            e_n=_value("e_n", e_n, key),
-            law=law,
-            method=method,
-            end=end,
-            **method_options,
-        )
+    for a, b in keys:
+        try:
+            calibrations[a, b] = calibrate(
+                pair(*bodies[a], *bodies[b]) if b in bodies else wall_pair(*bodies[a], walls[b]),
+                v_0=speeds[a, b],
+                e_n=restitutions[a, b],
+                law=law,
+                method=method,
+                end=end,
+                **method_options,
+            )
+            single("k_n (every argument is one number here)", calibrations[a, b].k_n)
+        except KncalError as error:
+            raise type(error)(f"{a}–{b}: {error}") from error
     return PairMatrix(tuple(names), tuple(walls), calibrations)
 
 
-def _value(argument: str, given: PerPair, key: tuple[str, str]) -> float:
+def _body(name: str, given: object) -> tuple[Material, float]:
+    if isinstance(given, tuple) and len(given) == 2 and isinstance(given[0], Material):
+        return given[0], single(f"radius of {name}", given[1])
+    raise InputError(f"particles[{name!r}] = {given!r}: expected (Material, radius [m])")
+
+
+def _per_pair(argument: str, given: PerPair, keys: Collection[tuple[str, str]]) -> dict[tuple[str, str], float]:
+    """The value of every pair; refuses keys of a mapping that are missing, unknown, or the same pair again."""
     if not isinstance(given, Mapping):
-        return given
-    for names in (key, key[::-1]):
-        if names in given:
-            return given[names]
-    raise InputError(f"{argument} has no value for the pair {key[0]}–{key[1]}: expected a key {key!r}")
+        return dict.fromkeys(keys, single(argument, given))
+    values: dict[tuple[str, str], float] = {}
+    for names, value in given.items():
+        key = _known(names, keys)
+        if key is None:
+            raise InputError(f"{argument}: {names!r} is no pair that can touch: expected one of {_listed(keys)}")
+        number = single(f"{argument} of {key[0]}–{key[1]}", value)
+        if values.setdefault(key, number) != number:
+            raise InputError(f"{argument} has two values for the pair {key[0]}–{key[1]}: expected one")
+    for key in keys:
+        if key not in values:
+            raise InputError(f"{argument} has no value for the pair {key[0]}–{key[1]}: expected a key {key!r}")
+    return values
+
+
+def _known(names: object, keys: Collection[tuple[str, str]]) -> tuple[str, str] | None:
+    """The key of two names in any order, or None."""
+    return next((key for key in keys if names in (key, key[::-1])), None)
+
+
+def _listed(keys: Collection[tuple[str, str]]) -> str:
+    return ", ".join(f"{a}–{b}" for a, b in keys)

@@ -13,16 +13,26 @@ from typing import Any
 
 import numpy as np
 
-from kncal.checks import one_of, positive
+from kncal.checks import in_range, one_of
 from kncal.errors import InputError
 from kncal.impact import DimensionlessImpact
-from kncal.material import FloatOrArray, Pair
+from kncal.material import FloatOrArray, Pair, plain
 
 #: Strain-energy equivalence with elastic Hertz: kappa = (4/5)^(4/5).
 KAPPA_STRAIN_ENERGY = 0.8**0.8
 
+#: Options that are numbers: range, unit, hint. Wide, but every stiffness within them is a finite number.
+_RANGES = {
+    "fraction": (1e-9, 1.0, "", "a fraction of the length, usually 0.001 to 0.01"),
+    "t_c": (1e-15, 1e6, "s", "a contact usually lasts 1e-6 to 1e-3 s"),
+    "force": (1e-30, 1e20, "N", "for example the weight of a particle"),
+    "factor": (1e-9, 1e6, "", "1 by convention"),
+}
+#: Options that are words: what they may be.
+_WORDS = {"of": ("diameter", "sum_of_radii")}
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, eq=False)
 class MethodInputs:
     """What a method may use: the pair, the speed, both dimensionless impacts and its own options.
 
@@ -68,7 +78,7 @@ class Method:
     optional: Mapping[str, Any] | None = None
 
     def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the complete, known options; raise `InputError` for unknown or missing ones."""
+        """Return the complete options, checked; raise `InputError` for unknown, missing or bad ones."""
         optional = dict(self.optional or {})
         known = {*self.required, *optional}
         for name in given:
@@ -78,7 +88,14 @@ class Method:
         for name in self.required:
             if name not in given:
                 raise InputError(f"method {self.name!r} needs the option {name!r}: {self.title}")
-        return optional | dict(given)
+        return {name: _option(name, value) for name, value in (optional | dict(given)).items()}
+
+
+def _option(name: str, value: Any) -> FloatOrArray | str:
+    if name in _WORDS:
+        return one_of(name, value, _WORDS[name])
+    low, high, unit, hint = _RANGES[name]
+    return plain(in_range(name, value, low, high, unit=unit, hint=hint))
 
 
 def _mean_overlap(q: MethodInputs) -> FloatOrArray:
@@ -103,24 +120,23 @@ def _max_overlap_secant(q: MethodInputs) -> FloatOrArray:
 
 
 def _limited_overlap(q: MethodInputs) -> FloatOrArray:
-    fraction = positive("fraction", q.options["fraction"], hint="a fraction of the length, usually 0.001 to 0.01")
-    of = one_of("of", q.options["of"], ("diameter", "sum_of_radii"))
-    length = 2.0 * q.pair.R_min if of == "diameter" else q.pair.R_sum
+    length = 2.0 * q.pair.R_min if q.options["of"] == "diameter" else q.pair.R_sum
+    fraction: FloatOrArray = q.options["fraction"]
     return q.pair.m_eff * (q.linear.x_max * q.v_0 / (fraction * length)) ** 2 / q.base
 
 
 def _contact_time(q: MethodInputs) -> FloatOrArray:
-    t_c = positive("t_c", q.options["t_c"], unit="s")
+    t_c: FloatOrArray = q.options["t_c"]
     return q.pair.m_eff * (q.linear.tau_c / t_c) ** 2 / q.base
 
 
 def _static_load(q: MethodInputs) -> FloatOrArray:
-    force = positive("force", q.options["force"], unit="N")
+    force: FloatOrArray = q.options["force"]
     return np.cbrt(q.pair.k_h**2 * force) / q.base
 
 
 def _youngs_modulus(q: MethodInputs) -> FloatOrArray:
-    factor = positive("factor", q.options["factor"])
+    factor: FloatOrArray = q.options["factor"]
     return factor * q.pair.E_eff * q.pair.R_eff / q.base
 
 

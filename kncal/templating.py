@@ -5,18 +5,15 @@ A solver executes what its input tells it, so only numbers, and names that can b
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from kncal.checks import as_floats
+from kncal.checks import NAME_PATTERN, as_floats
 from kncal.errors import InputError, RenderError
 
 if TYPE_CHECKING:
     from jinja2.sandbox import SandboxedEnvironment
-
-NAME_PATTERN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 
 
 def checked_name(value: object) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -45,11 +45,13 @@ class ValidityWarning:
     code : short stable name, e.g. "overlap-large"
     message : one sentence for a person, with the largest value seen
     count : number of elements concerned (1 for a scalar calibration)
+    where : which elements, broadcasts against the calibration's shape
     """
 
     code: str
     message: str
     count: int
+    where: NDArray[np.bool_] = field(repr=False, compare=False)
 
     def __str__(self) -> str:
         """Return the message."""
@@ -82,9 +84,9 @@ def _checks(c: Calibration, law: ContactLaw, linear: DimensionlessImpact) -> Ite
         ratio = np.asarray(delta / pair.R_min)
         if (meaningless := ratio >= OVERLAP_MEANINGLESS).any():
             raise ValidityError(
-                f"the {name} contact ({law.name if name == 'reference' else 'linear'}) would overlap by "
-                f"{ratio.max():.3g} radii of the smaller sphere{_where(meaningless)}: expected less than 1; "
-                "lower v_0, or take a stiffer material or method"
+                f"the overlap of the {name} contact ({law.name if name == 'reference' else 'linear'}) reaches the "
+                f"radius of the smaller sphere, {ratio.max():.4g} of it{_where(meaningless)}: expected to stay "
+                "below; lower v_0, or take a stiffer material or method"
             )
         yield from _warn(
             ratio > OVERLAP_DOUBTFUL,
@@ -149,6 +151,15 @@ def _checks(c: Calibration, law: ContactLaw, linear: DimensionlessImpact) -> Ite
             "standard in most codes; end='force' cuts it)",
         )
 
+    zeta = np.asarray(c.zeta)
+    yield from _warn(
+        zeta > 1.0,
+        zeta,
+        "overdamped",
+        "the linear contact is overdamped (damping ratio up to {:.3g}): the target code must cut attraction off, and "
+        "needs a time step well below 2 m_eff/eta_n",
+    )
+
     if law.e_depends_on_speed:
         yield from _warn(
             damped,
@@ -172,7 +183,7 @@ def _warn(where: NDArray[np.bool_], value: FloatOrArray, code: str, message: str
     where, value = np.broadcast_arrays(where, value)
     worst = float(np.max(value[where]))
     text = message.format(worst) + (_where(where) if where.ndim else "")
-    yield ValidityWarning(code, text, int(np.count_nonzero(where)))
+    yield ValidityWarning(code, text, int(np.count_nonzero(where)), where)
 
 
 def _where(where: NDArray[np.bool_]) -> str:

@@ -1,5 +1,6 @@
 """Calibration against its definition: both contacts are integrated in physical units and compared."""
 
+import dataclasses
 import json
 import math
 
@@ -236,13 +237,15 @@ def test_dict_and_frame():
     assert isinstance(calibrate(PAIR, v_0=1.0, e_n=0.5).to_dict()["k_n"], float)
 
 
-@pytest.mark.parametrize("bad", [0.0, -1.0, float("nan"), float("inf"), "fast", None, [1.0, -1.0], 1j, True])
+@pytest.mark.parametrize(
+    "bad", [0.0, -1.0, float("nan"), float("inf"), "fast", None, [1.0, -1.0], 1j, True, 5e-324, []]
+)
 def test_bad_speed(bad):
     with pytest.raises(InputError, match="v_0"):
         calibrate(PAIR, v_0=bad, e_n=0.9)
 
 
-@pytest.mark.parametrize("bad", [0.0, -0.5, 1.0000001, float("nan"), float("inf"), "0.9", None, [0.5, 1.5], 90])
+@pytest.mark.parametrize("bad", [0.0, -0.5, 1.0000001, float("nan"), float("inf"), "0.9", None, [0.5, 1.5], 90, 5e-324])
 def test_bad_restitution(bad):
     with pytest.raises(InputError, match="e_n"):
         calibrate(PAIR, v_0=1.0, e_n=bad)
@@ -261,11 +264,93 @@ def test_bad_restitution(bad):
         ({"method": "static_load", "force": 0.0}, "force"),
         ({"method": "contact_time", "t_c": float("nan")}, "t_c"),
         ({"method": "mean_overlap", "fraction": 0.1}, "fraction"),
+        ({"method": "contact_time", "t_c": 1e-200}, "t_c"),
+        ({"method": "contact_time", "t_c": 1e200}, "t_c"),
+        ({"method": "limited_overlap", "fraction": 1e-200}, "fraction"),
+        ({"method": "static_load", "force": 1e300}, "force"),
+        ({"method": "youngs_modulus", "factor": 1e300}, "factor"),
+        ({"method": "contact_time", "t_c": []}, "t_c"),
     ],
 )
 def test_bad_names_and_options(arguments, words):
     with pytest.raises(InputError, match=words):
         calibrate(PAIR, **({"v_0": 1.0, "e_n": 0.9} | arguments))
+
+
+EXTREMES = [
+    wall_pair(Material(young=1e13, poisson=0.5, density=1e6), 1e3),
+    pair(Material(young=1e3, poisson=0.0, density=10.0), 1e-9),
+]
+
+
+@pytest.mark.parametrize("method", sorted(METHODS))
+@pytest.mark.parametrize("v_0", [1e-12, 1e5])
+@pytest.mark.parametrize("contact", EXTREMES)
+@pytest.mark.parametrize("side", [0, 1])
+def test_the_corners_of_every_range_are_numbers_or_refused(method, v_0, contact, side):
+    ends = {"fraction": (1e-9, 1.0), "t_c": (1e-15, 1e6), "force": (1e-30, 1e20), "factor": (1e-9, 1e6)}
+    row = METHODS[method]
+    options = {k: ends[k][side] for k in (*row.required, *(row.optional or {})) if k in ends}
+    for law in ("tsuji", "linear", "walton_braun"):
+        for e_n in (1e-12, 1.0):
+            try:
+                result = calibrate(contact, v_0=v_0, e_n=e_n, law=law, method=method, **options)
+            except ValidityError:  # an overlap beyond the radius
+                continue
+            numbers = [result.k_n, result.kappa, result.t_c, result.delta_max, result.delta_mean]
+            assert np.isfinite([*numbers, result.eta_n]).all()
+            assert min(numbers) > 0.0
+
+
+def test_shapes_that_do_not_fit_are_named():
+    with pytest.raises(InputError, match=r"v_0 \(2,\), e_n \(3,\)"):
+        calibrate(PAIR, v_0=[0.5, 0.6], e_n=[0.9, 0.8, 0.7])
+    with pytest.raises(InputError, match=r"pair \(3,\), v_0 \(2,\)"):
+        calibrate(pair(GLASS, [1e-3, 2e-3, 3e-3]), v_0=[0.5, 0.6], e_n=0.9)
+    with pytest.raises(InputError, match=r"e_n \(3,\), t_c \(2,\)"):
+        calibrate(PAIR, v_0=0.5, e_n=[0.9, 0.8, 0.7], method="contact_time", t_c=[1e-5, 2e-5])
+
+
+@pytest.mark.parametrize("wrong", [1.0, None, GLASS])
+def test_what_is_no_pair_is_refused(wrong):
+    with pytest.raises(InputError, match=r"pair .*kncal\.pair"):
+        calibrate(wrong, v_0=0.5, e_n=0.9)
+
+
+@pytest.mark.parametrize("law", ["tsuji", "hertz", "linear", "walton_braun"])
+def test_every_number_has_the_shape_of_all_inputs(law):
+    # each of the inputs alone decides the shape, and so does an array that matters for nothing but a warning
+    weak = Material(young=70e9, poisson=0.22, density=2500.0, yield_strength=[1e8, 1e9, 1e10])
+    for contact, arguments in (
+        (PAIR, {"v_0": [0.5, 1.0, 2.0]}),
+        (PAIR, {"e_n": [0.5, 0.7, 0.9]}),
+        (PAIR, {"method": "contact_time", "t_c": [1e-5, 2e-5, 3e-5]}),
+        (pair(GLASS, [1e-3, 2e-3, 3e-3]), {}),
+        (pair(weak, 1e-3), {}),
+    ):
+        result = calibrate(contact, **({"v_0": 0.5, "e_n": 0.9, "law": law} | arguments))
+        for owner in (result, result.reference):
+            for f in dataclasses.fields(owner):
+                value = getattr(owner, f.name)
+                if isinstance(value, (float, np.ndarray)):
+                    assert np.shape(value) == (3,), f.name
+        assert len(result.to_frame()) == 3
+    scalar = calibrate(PAIR, v_0=0.5, e_n=0.9, law=law)
+    for owner in (scalar, scalar.reference):
+        assert not any(isinstance(getattr(owner, f.name), np.ndarray) for f in dataclasses.fields(owner))
+
+
+def test_options_may_be_arrays():
+    times = np.array([1e-5, 2e-5])
+    result = calibrate(PAIR, v_0=0.5, e_n=[[0.9], [0.5], [0.7]], method="contact_time", t_c=times)
+    np.testing.assert_allclose(result.t_c, np.broadcast_to(times, (3, 2)), rtol=1e-12)
+
+
+def test_calibrations_of_arrays_can_be_compared():
+    one, other = (calibrate(PAIR, v_0=[0.5, 1.0], e_n=0.9) for _ in range(2))
+    assert one == one  # noqa: PLR0124 - what is tested
+    assert one != other
+    assert one.reference != other.reference
 
 
 def codes(**arguments):
@@ -287,6 +372,8 @@ def test_each_limit_is_told():
     assert "size-ratio" in codes(contact=pair(GLASS, 1e-3, GLASS, 1e-2))
     assert "attraction" in codes(e_n=0.5)
     assert "attraction" not in codes(e_n=0.5, end="force")
+    assert "overdamped" in codes(e_n=0.1, end="force")
+    assert "overdamped" not in codes(e_n=0.1, method="max_overlap")
     assert "restitution-of-one-speed" in codes(law="kuwabara_kono")
     assert "elastic-reference" in codes(law="hertz")
     weak = Material(young=70e9, poisson=0.22, density=2500.0, yield_strength=1e6)
@@ -324,6 +411,37 @@ def test_warnings_of_arrays_count_and_locate():
     (warning,) = [w for w in result.warnings if w.code == "impact-fast"]
     assert warning.count == 2
     assert "first at [1]" in warning.message
+
+
+def test_a_force_end_is_overdamped_below_exp_minus_two():
+    # critical damping at the force end: e_n = exp(-2), Schwager & Pöschel 2007
+    limit = math.exp(-2.0)
+    assert "overdamped" not in codes(e_n=limit * 1.001, end="force")
+    result = calibrate(PAIR, v_0=0.5, e_n=0.01, end="force")
+    (warning,) = [w for w in result.warnings if w.code == "overdamped"]
+    assert f"{result.zeta:.3g}" in warning.message
+    assert result.zeta > 1.0
+
+
+def test_a_frame_has_each_warning_in_its_rows_only():
+    result = calibrate(PAIR, v_0=[[0.5], [60.0]], e_n=[0.95, 0.5])
+    assert list(result.to_frame()["warnings"]) == ["", "attraction", "impact-fast", "impact-fast; attraction"]
+    assert calibrate(PAIR, v_0=60.0, e_n=0.5).to_frame()["warnings"].item() == "impact-fast; attraction"
+    fast = result.warnings[0]
+    assert set(fast.to_dict()) == {"code", "message", "count"}
+    assert "where" not in repr(fast)
+    assert fast == calibrate(PAIR, v_0=[[0.5], [60.0]], e_n=[0.95, 0.6]).warnings[0]
+    assert len({*result.warnings}) == len(result.warnings)
+
+
+def test_an_overlap_just_beyond_the_radius_reads_as_beyond():
+    # delta_max = fraction · 2 R
+    with pytest.raises(ValidityError) as caught:
+        calibrate(PAIR, v_0=0.5, e_n=0.9, method="limited_overlap", fraction=0.5005)
+    assert "1.001" in str(caught.value)
+    with pytest.raises(ValidityError) as caught:
+        calibrate(PAIR, v_0=0.5, e_n=0.9, method="limited_overlap", fraction=0.5 * (1.0 + 1e-9))
+    assert "less than 1" not in str(caught.value)
 
 
 def test_public_names_load_lazily():

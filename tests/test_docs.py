@@ -227,6 +227,7 @@ def test_theory_names_every_warning() -> None:
         kncal.calibrate(beads, v_0=1.5, e_n=0.5),
         kncal.calibrate(beads, v_0=0.1, e_n=0.05),
         kncal.calibrate(beads, v_0=1e-5, e_n=0.9, law="hertz"),
+        kncal.calibrate(beads, v_0=0.1, e_n=0.1, end="force"),
         kncal.calibrate(unequal, v_0=0.1, e_n=0.9, law="kuwabara_kono"),
     ]
     codes = {w.code for c in seen for w in c.warnings}

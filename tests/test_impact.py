@@ -70,3 +70,43 @@ def test_no_negative_zero_at_an_elastic_impact(law: str, end: str) -> None:
     impact = dimensionless_impact(law, 1.0, end)
     assert impact.C == 0.0
     assert not np.signbit([impact.C, impact.x_end]).any()
+
+
+@pytest.mark.parametrize("law", ["linear", "tsuji", "walton_braun"])
+@pytest.mark.parametrize("end", ENDS)
+def test_a_restitution_below_any_meaning_is_refused(law: str, end: str) -> None:
+    with pytest.raises(InputError, match="smallest supported e_n"):
+        dimensionless_impact(law, 5e-324, end)
+    lowest = LAWS[law].e_min(end)
+    impact = dimensionless_impact(law, lowest, end)
+    numbers = [impact.C, impact.x_max, impact.tau_c, impact.x_mean]
+    assert np.isfinite(numbers).all() and min(numbers) > 0.0
+
+
+@pytest.mark.parametrize(
+    ("bad", "words"),
+    [
+        ([], "at least one value"),
+        ([[0.5, 0.6], [0.7]], "equal length"),
+        (np.ma.array([0.5, 0.6], mask=[False, True]), "masked"),
+        (np.ma.masked, "masked"),
+    ],
+)
+def test_arrays_with_holes_are_refused(bad: object, words: str) -> None:
+    with pytest.raises(InputError, match=rf"e_n .*{words}"):
+        dimensionless_impact("tsuji", bad)
+    with pytest.raises(InputError, match="e_n"):
+        impact_path("tsuji", bad)
+
+
+def test_a_masked_array_without_masked_elements_is_an_array() -> None:
+    e_n = np.array([0.5, 0.6])
+    expected = dimensionless_impact("tsuji", e_n).tau_c
+    np.testing.assert_array_equal(dimensionless_impact("tsuji", np.ma.array(e_n)).tau_c, expected)
+
+
+def test_impacts_of_arrays_can_be_compared() -> None:
+    impact = dimensionless_impact("tsuji", [0.5, 0.6])
+    assert impact == impact  # noqa: PLR0124 - what is tested
+    assert impact != dimensionless_impact("tsuji", [0.5, 0.7])
+    assert len({impact, impact}) == 1

@@ -10,6 +10,7 @@ from kncal import InputError, Material, pair, wall_pair
 
 GLASS = Material(young=70e9, poisson=0.22, density=2500.0)
 STEEL = Material(young=210e9, poisson=0.3, density=7800.0)
+RADII = np.array([1e-3, 2e-3, 3e-3])
 radii = st.floats(1e-6, 1.0)
 
 
@@ -85,6 +86,9 @@ def test_smaller_yield_strength_counts():
         ("density", 2.5, "2500"),
         ("density", 0.0, "density"),
         ("yield_strength", 0.0, "yield_strength"),
+        ("yield_strength", 1e-320, "yield_strength"),
+        ("young", [], "at least one value"),
+        ("young", [[70e9, 1e9], [2e9]], "equal length"),
     ],
 )
 def test_bad_material(key, value, words):
@@ -99,7 +103,7 @@ def test_bad_material(key, value, words):
     assert isinstance(caught.value, kncal.KncalError)
 
 
-@pytest.mark.parametrize("radius", [0.0, -1e-3, float("nan"), float("inf"), "1", 1e9, [1e-3, 0.0]])
+@pytest.mark.parametrize("radius", [0.0, -1e-3, float("nan"), float("inf"), "1", 1e9, [1e-3, 0.0], 1e-110, 1e-320, []])
 def test_bad_radius(radius):
     with pytest.raises(InputError, match="radius_1"):
         pair(GLASS, radius)
@@ -110,3 +114,51 @@ def test_bad_radius(radius):
 def test_bad_element_of_an_array_is_named():
     with pytest.raises(InputError, match=r"element \[1\]"):
         pair(GLASS, [1e-3, -1.0, 2e-3])
+
+
+def test_a_second_radius_has_the_same_range():
+    with pytest.raises(InputError, match="radius_2"):
+        pair(GLASS, 1.0, GLASS, 1e-320)
+    smallest = pair(GLASS, 1e-9, STEEL, 1e3)
+    assert min(smallest.m_eff, smallest.R_eff, smallest.k_h) > 0.0
+
+
+def test_shapes_that_do_not_fit_are_named():
+    with pytest.raises(InputError, match=r"young \(2,\).*density \(3,\)"):
+        Material(young=[70e9, 80e9], poisson=0.2, density=[2500.0, 2600.0, 2700.0])
+    many = Material(young=[70e9, 80e9], poisson=0.2, density=2500.0)
+    for refused, words in (
+        (lambda: pair(GLASS, RADII, GLASS, RADII[:2]), r"radius_1 \(3,\), radius_2 \(2,\)"),
+        (lambda: pair(many, RADII), r"material_1 \(2,\), radius_1 \(3,\)"),
+        (lambda: wall_pair(GLASS, RADII, many), r"radius \(3,\), wall_material \(2,\)"),
+    ):
+        with pytest.raises(InputError, match=words):
+            refused()
+
+
+@pytest.mark.parametrize("wrong", [None, "steel", 1.0])
+def test_what_is_no_material_is_refused(wrong):
+    with pytest.raises(InputError, match=r"material_1 .*Material"):
+        pair(wrong, 1e-3)
+    with pytest.raises(InputError, match=r"material .*Material"):
+        wall_pair(wrong, 1e-3)
+    if wrong is not None:  # None is the same sphere again, or a rigid wall
+        with pytest.raises(InputError, match=r"material_2 .*Material"):
+            pair(GLASS, 1e-3, wrong, 1e-3)
+        with pytest.raises(InputError, match=r"wall_material .*Material"):
+            wall_pair(GLASS, 1e-3, wrong)
+
+
+def test_a_zero_has_no_sign():
+    assert math.copysign(1.0, Material(young=70e9, poisson=-0.0, density=2500.0).poisson) == 1.0
+
+
+def test_equality_of_scalars_and_arrays():
+    assert Material(young=70e9, poisson=0.22, density=2500.0) == GLASS
+    assert hash(Material(young=70e9, poisson=0.22, density=2500.0)) == hash(GLASS)
+    assert GLASS != STEEL
+    assert GLASS != 70e9
+    one, same, other = (Material(young=[70e9, e], poisson=0.22, density=2500.0) for e in (80e9, 80e9, 90e9))
+    assert one == same
+    assert one != other
+    assert pair(one, 1e-3) != pair(other, 1e-3)

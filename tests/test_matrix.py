@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from kncal import InputError, Material, calibrate, calibrate_matrix, pair, wall_pair
+from kncal import InputError, Material, PairMatrix, ValidityError, calibrate, calibrate_matrix, pair, wall_pair
 
 GLASS = Material(young=70e9, poisson=0.22, density=2500.0)
 STEEL = Material(young=210e9, poisson=0.3, density=7800.0)
@@ -75,3 +75,88 @@ def test_bad_matrix():
         calibrate_matrix({"a": (GLASS, 1e-3), "b": (GLASS, 1e-3)}, v_0={("a", "a"): 1.0}, e_n=0.9)
     with pytest.raises(InputError, match="no contact"):
         MATRIX["floor", "rigid"]
+
+
+@pytest.mark.parametrize(
+    "name", ["a\nrun 1", "a b", "", "x" * 65, "$a", "Stahlwände", "-a", "a;b", 'a"', "a\r", "a\n", 1, None, ("a",)]
+)
+def test_no_name_can_become_a_command(name):
+    for particles, walls in (({name: (GLASS, 1e-3)}, None), ({"a": (GLASS, 1e-3)}, {name: None})):
+        with pytest.raises(InputError, match="name"):
+            calibrate_matrix(particles, walls, v_0=0.5, e_n=0.9)
+    if isinstance(name, str):
+        # nor by hand
+        with pytest.raises(InputError, match="name"):
+            PairMatrix((name,), (), {(name, name): MATRIX["small", "small"]})
+
+
+def test_liggghts_block_has_no_lines_but_comments_and_properties():
+    names = ["a.b-c_D", "9", "x" * 64]
+    block = calibrate_matrix({n: (GLASS, 1e-3) for n in names}, {"w": None}, v_0=0.5, e_n=0.9).liggghts()
+    for line in block.splitlines():
+        assert line.startswith(("# ", "fix kn all property/global kn ", "fix gamman all property/global gamman "))
+
+
+def test_liggghts_block_states_the_contact_end_it_needs():
+    for end, word in (("overlap", "limitForce off"), ("force", "limitForce on")):
+        matrix = calibrate_matrix({"a": (GLASS, 1e-3)}, {"w": None}, v_0=0.5, e_n=0.9, end=end)
+        comments = [line for line in matrix.liggghts().splitlines() if line.startswith("#")]
+        assert any(word in line for line in comments)
+
+
+SOFT = Material(young=1e3, poisson=0.3, density=2500.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "words", "error"),
+    [
+        ({"v_0": {("a", "a"): 1.0, ("a", "w"): -1.0}}, "a–w: v_0", InputError),
+        ({"particles": {"a": (GLASS, 1e-3), "b": (GLASS, 1e-30)}}, "a–b: .*radius_2", InputError),
+        ({"particles": {"a": (GLASS, 1e-3), "b": (SOFT, 1e-3)}, "v_0": 5.0}, "a–b: .*overlap", ValidityError),
+        ({"v_0": {("a", "a"): 1.0, ("a", "w"): 1.0, ("a", "x"): 1.0}}, "'x'", InputError),
+        ({"v_0": {("a", "a"): 1.0, ("a", "w"): 1.0, ("w", "w"): 1.0}}, "'w', 'w'", InputError),
+        ({"v_0": {("a", "a"): 1.0, ("a", "w"): 1.0, ("w", "a"): 2.0}}, "a–w: expected one", InputError),
+        ({"e_n": {("a", "a"): 0.9, "aw": 0.9}}, "'aw'", InputError),
+        ({"e_n": {("a", "a"): [0.9, 0.8], ("a", "w"): 0.9}}, "e_n of a–a .*single", InputError),
+        ({"v_0": [0.5, 1.0]}, "v_0 .*single", InputError),
+        ({"e_n": np.array([0.9])}, "e_n .*single", InputError),
+        ({"particles": {"a": (GLASS, [1e-3, 2e-3])}}, "radius of a .*single", InputError),
+        ({"method": "contact_time", "t_c": [1e-5, 2e-5]}, "a–a: .*single", InputError),
+        (
+            {"particles": {"a": (Material(young=[7e10, 8e10], poisson=0.2, density=2500.0), 1e-3)}},
+            "a–a: .*single",
+            InputError,
+        ),
+        ({"walls": {"w": "steel"}}, "a–w: wall_material", InputError),
+        ({"walls": ["w"]}, "walls", InputError),
+        ({"particles": 1.0}, "particles", InputError),
+        ({"particles": {"a": GLASS}}, "particles.*'a'.*radius", InputError),
+        ({"particles": {"a": ("glass", 1e-3)}}, "particles.*'a'.*Material", InputError),
+    ],
+)
+def test_refusals_name_the_pair_or_the_argument(change, words, error):
+    arguments = {"particles": {"a": (GLASS, 1e-3)}, "walls": {"w": None}, "v_0": 0.5, "e_n": 0.9} | change
+    with pytest.raises(error, match=words):
+        calibrate_matrix(**arguments)
+
+
+def test_a_pair_named_twice_alike_is_no_contradiction():
+    both = {("a", "a"): 1.0, ("a", "w"): 0.5, ("w", "a"): 0.5}
+    assert calibrate_matrix({"a": (GLASS, 1e-3)}, {"w": None}, v_0=both, e_n=0.9)["w", "a"].v_0 == 0.5
+
+
+@pytest.mark.parametrize("quantity", ["foo", "warnings", "pair", "__class__", None, 1])
+def test_only_numbers_make_a_matrix(quantity):
+    with pytest.raises(InputError, match="quantity"):
+        MATRIX.matrix(quantity)
+
+
+def test_every_number_makes_a_matrix():
+    for quantity in ("k_n", "eta_n", "gamma_n", "zeta", "kappa", "t_c", "delta_max", "delta_mean", "v_0", "e_n"):
+        assert MATRIX.matrix(quantity)[0, 2] == getattr(MATRIX["small", "floor"], quantity)
+
+
+@pytest.mark.parametrize("key", ["small", ("small",), 3, ("small", "nobody"), (["small"], "floor"), "ab"])
+def test_an_unknown_pair_is_refused(key):
+    with pytest.raises(InputError, match="small–floor"):
+        MATRIX[key]

@@ -126,7 +126,7 @@ def test_predicted_error_agrees_with_published_error_table():
         predicted = predict_error("linear", e, n)
         assert predicted.mean["delta_max"] == pytest.approx(mean_max + (math.pi / n) ** 2 / 24, rel=0.05)
         # the published runs last a whole number of steps; the prediction also looks half a step to either side
-        assert worst_e <= predicted.worst["e_n"] * e * 1.02 <= 2.1 * worst_e
+        assert worst_e <= predicted.worst["e_n"] * e * 1.02 <= 2.2 * worst_e
         if mean_e is not None:
             assert predicted.mean["e_n"] * e == pytest.approx(mean_e, rel=0.6)
 
@@ -149,3 +149,132 @@ def test_wall_is_slower_than_pair_by_mass():
     wall = wall_pair(GLASS, 1e-3, GLASS)
     ratio = contact_time(1e4, wall.m_eff, 0.9) / contact_time(1e4, PAIR.m_eff, 0.9)
     assert ratio == pytest.approx(math.sqrt(2), rel=1e-12)
+
+
+@pytest.mark.parametrize("e_n", [1.0, 0.9, 0.5])
+@pytest.mark.parametrize("n", [25, 50])
+def test_predicted_worst_is_nearly_the_worst_of_many_random_impacts(e_n, n):
+    # velocity Verlet with half-step velocities, written out again: any phase, any N within half a step
+    zeta = -math.log(e_n) / math.hypot(math.pi, math.log(e_n))
+    rng = np.random.default_rng(n)
+    dt = math.pi / math.sqrt(1 - zeta**2) / (n + rng.uniform(-0.5, 0.5, 20000))
+    x, v, a = -rng.uniform(0.0, 1.0, dt.size) * dt, np.ones_like(dt), np.zeros_like(dt)
+    for _ in range(2 * n):
+        half = v + 0.5 * dt * a
+        x = x + dt * half
+        a = np.where(x > 0, -x - 2 * zeta * half, 0.0)
+        v = half + 0.5 * dt * a
+    seen = np.abs(-v / e_n - 1).max()
+    predicted = predict_error("linear", e_n, n).worst["e_n"]
+    assert 0.93 * seen < predicted < 1.01 * seen
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"e_n": [0.5, 0.6]}, "e_n"),
+        ({"e_n": np.array([0.5])}, "e_n"),
+        ({"e_n": None}, "e_n"),
+        ({"e_n": 2.0}, "e_n"),
+        ({"steps_per_contact": [10, 20]}, "steps_per_contact"),
+        ({"steps_per_contact": {}}, "steps_per_contact"),
+        ({"law": []}, "law"),
+        ({"end": ["overlap"]}, "end"),
+    ],
+)
+def test_a_prediction_is_of_one_impact(arguments, words):
+    with pytest.raises(InputError, match=words):
+        predict_error(**({"law": "tsuji", "e_n": 0.9} | arguments))
+
+
+def test_a_prediction_is_made_once_and_stays_as_it_is():
+    one = predict_error("tsuji", 0.9, 50)
+    assert predict_error(law="tsuji", e_n=0.9, steps_per_contact=50.0) is one
+    for numbers in (one.mean, one.worst):
+        with pytest.raises(TypeError):
+            numbers["e_n"] = 0.0
+
+
+def test_the_limit_of_a_linear_reference_is_of_its_own_spring():
+    # a linear reference has the strain-energy stiffness of the pair, whatever the calibrated spring is
+    own = advise_time_step(calibrate(PAIR, v_0=0.5, e_n=0.6, method="strain_energy")).linear_limit
+    soft = calibrate(PAIR, v_0=0.5, e_n=0.6, law="linear", method="contact_time", t_c=1e-4)
+    assert advise_time_step(soft).hertz_limit == pytest.approx(own, rel=1e-12)
+
+
+@pytest.mark.parametrize("e_n", [1.0, 0.5, 0.2])
+def test_the_limit_of_two_springs_is_of_the_stiffer_one_and_has_no_damping(e_n):
+    k_1 = calibrate(PAIR, v_0=0.5, e_n=1.0, method="strain_energy").k_n
+    c = calibrate(PAIR, v_0=0.5, e_n=e_n, law="walton_braun", method="contact_time", t_c=1e-4)
+    assert advise_time_step(c, contacts=3).hertz_limit == pytest.approx(
+        verlet_limit(k_1 / e_n**2, PAIR.m_eff, 0.0, 3), rel=1e-12
+    )
+
+
+def test_the_limit_of_a_hertz_contact_is_of_its_tangent_at_the_largest_overlap():
+    c = calibrate(PAIR, v_0=0.5, e_n=0.7, law="hunt_crossley")
+    deepest = c.reference.delta_max
+    L = (PAIR.m_eff * 0.5**2 / PAIR.k_h) ** 0.4
+    damping = c.reference.C * PAIR.m_eff * 0.5 / L**2.5 * deepest**1.5
+    expected = verlet_limit(1.5 * PAIR.k_h * math.sqrt(deepest), PAIR.m_eff, damping, 12)
+    assert advise_time_step(c).hertz_limit == pytest.approx(expected, rel=1e-12)
+
+
+def test_an_advised_step_above_the_limit_is_told():
+    c = calibrate(PAIR, v_0=[0.5, 1.0], e_n=0.8)
+    assert advise_time_step(c, 40).warnings == ()
+    bad = advise_time_step(c, 5)
+    assert len(bad.warnings) == 2
+    assert "linear" in bad.warnings[0]
+    assert "reference" in bad.warnings[1]
+    # the number of steps it asks for is enough, and hardly more than enough
+    enough = max(float(w.split("more than ")[1].split()[0]) for w in bad.warnings)
+    assert advise_time_step(c, 1.001 * enough).stable
+    assert not advise_time_step(c, 0.999 * enough).stable
+    # a strongly damped contact with cut-off attraction needs more steps than any fixed N has
+    assert advise_time_step(calibrate(PAIR, v_0=0.5, e_n=0.01, end="force"), 10).warnings
+
+
+@pytest.mark.parametrize("bad", [[10, 20], np.array([10.0]), "10", None, {}])
+def test_advice_is_for_one_number_of_steps(bad):
+    c = calibrate(PAIR, v_0=0.5, e_n=0.9)
+    with pytest.raises(InputError, match="steps_per_contact"):
+        advise_time_step(c, bad)
+    with pytest.raises(InputError, match="contacts"):
+        advise_time_step(c, 50, bad)
+
+
+def test_what_is_no_pair_material_or_calibration_is_refused():
+    for refused, words in (
+        (lambda: hertz_time(1.0, 0.5), "pair"),
+        (lambda: rayleigh_time(1.0, 1e-3), "material"),
+        (lambda: advise_time_step(PAIR), "calibration"),
+    ):
+        with pytest.raises(InputError, match=words):
+            refused()
+
+
+def test_times_of_shapes_that_do_not_fit_are_refused():
+    two, three = [1.0, 2.0], [0.7, 0.8, 0.9]
+    for refused in (
+        lambda: contact_time(two, 1e-6, three),
+        lambda: hertz_time(PAIR, two, three),
+        lambda: hertz_time(pair(GLASS, [1e-3, 2e-3]), 0.5, three),
+        lambda: verlet_limit(two, three),
+        lambda: rayleigh_time(Material(young=[7e10, 8e10], poisson=0.2, density=2500.0), [1e-3, 2e-3, 3e-3]),
+    ):
+        with pytest.raises(InputError, match=r"\(2,\).*\(3,\)|\(3,\).*\(2,\)"):
+            refused()
+
+
+def test_times_beyond_floats_are_refused():
+    for refused in (
+        lambda: contact_time(1e-300, 1e300, 0.9),
+        lambda: contact_time(1e300, 1e-300, 0.9),
+        lambda: verlet_limit(1e-300, 1e300),
+        lambda: verlet_limit(1.0, 1e-300, 1e300),
+        lambda: hertz_time(PAIR, 1e-300),
+        lambda: rayleigh_time(GLASS, 1e300),
+    ):
+        with pytest.raises(InputError):
+            refused()

@@ -27,8 +27,8 @@ from kncal.errors import KncalError
 #: How a contact ends: the overlap returns to zero, or the force returns to zero (attraction is cut off).
 ENDS = ("overlap", "force")
 
-#: Smallest e_n served where the solution is not a closed form.
-E_MIN = 1e-3
+#: Smallest e_n served where the solution is not a closed form, and where it is.
+E_MIN, E_MIN_CLOSED = 1e-3, 1e-12
 
 
 def log_loss(e_n: Array) -> Array:
@@ -36,7 +36,7 @@ def log_loss(e_n: Array) -> Array:
     return 0.0 - np.log(e_n)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Impact:
     """The solution of the dimensionless impact for an array of e_n; every field has that array's shape (n,)."""
 
@@ -75,8 +75,8 @@ class ContactLaw(ABC):
         """Solve the impact for ``e_n`` of shape (n,), each in (0, 1] and not below `e_min`; ``end`` is of `ENDS`."""
 
     def e_min(self, end: str) -> float:
-        """Smallest e_n that `impact` serves (0: any positive one)."""
-        return 0.0
+        """Smallest e_n that `impact` serves; 1e-12 for a closed form."""
+        return E_MIN_CLOSED
 
     def force(self, x: Array, x_dot: Array, C: Array | float) -> Array:
         """Dimensionless force x^n + C x^p x_dot (positive: repulsion), zero for x < 0; arguments broadcast.

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 
 from kncal.checks import Array
-from kncal.contact.base import E_MIN, Impact, log_loss
+from kncal.contact.base import E_MIN, E_MIN_CLOSED, Impact, log_loss
 from kncal.contact.linear import overlap_end
 from kncal.contact.polar import HertzDashpot
 from kncal.contact.table import Table, nodes
@@ -19,8 +19,8 @@ class Tsuji(HertzDashpot):
     """In y = (2/sqrt 5) x^(5/4) this contact is the linear oscillator with zeta = C/sqrt(5)."""
 
     def e_min(self, end: str) -> float:
-        """Any e_n at the overlap end, which is a closed form."""
-        return 0.0 if end == "overlap" else E_MIN
+        """1e-12 at the overlap end, which is a closed form, and 1e-3 at the force end."""
+        return E_MIN_CLOSED if end == "overlap" else E_MIN
 
     def impact(self, e_n: Array, end: str) -> Impact:
         """Closed form at the overlap end (gamma functions through a table), polar form at the force end."""

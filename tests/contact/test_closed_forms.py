@@ -51,7 +51,7 @@ def test_linear_force_end_is_critically_damped_at_exp_minus_two() -> None:
     assert (impact.C, impact.tau_c) == pytest.approx((2.0, 2.0), rel=1e-12)
 
 
-@pytest.mark.parametrize("e_n", [1e-4, 1e-8, 1e-60])
+@pytest.mark.parametrize("e_n", [1e-4, 1e-8, 1e-12])
 def test_strong_damping_of_closed_forms(e_n: float) -> None:
     linear = dimensionless_impact("linear", e_n, "force")
     # 2 zeta -> 1/sqrt(e), with the next term of order e ln(1/e)
