@@ -58,7 +58,7 @@ def _option(value: float | str) -> float | str:
 
 Name = Annotated[str, AfterValidator(_name)]
 Text = Annotated[str, AfterValidator(_line)]
-Fraction = Annotated[float, _above_zero(high=1.0)]
+Restitution = Annotated[float, _within(1e-3, 1.0, hint="a contact with less hardly ever ends")]
 Friction = Annotated[float, _within(0.0, 10.0)]
 Speed = Annotated[float, _above_zero("m/s", high=1e4)]
 Stiffness = Annotated[float, _above_zero("N/m")]
@@ -90,7 +90,7 @@ class ParticleTable(Table):
 
     name: Name = Field(description="the particle's name")
     material: Name = Field(description="the name of a material")
-    diameter: Annotated[float, _above_zero("m", "1 mm is 1e-3", high=1e3)] = Field(description="diameter [m]")
+    diameter: Annotated[float, _within(2e-9, 1e3, "m", "1 mm is 1e-3")] = Field(description="diameter [m]")
     position: Position = Field(description="[x, y, z] of the centre [m]")
     velocity: Velocity = Field([0.0, 0.0, 0.0], description="[x, y, z] of the velocity [m/s]")
     spin: Spin = Field([0.0, 0.0, 0.0], description="[x, y, z] of the angular velocity [rad/s]")
@@ -113,7 +113,7 @@ class PairTable(Table):
     between: Annotated[list[Name], Field(min_length=2, max_length=2)] = Field(
         description="two names of particles, walls or materials"
     )
-    e_n: Fraction | None = Field(None, description="normal restitution [-]")
+    e_n: Restitution | None = Field(None, description="normal restitution [-]")
     friction: Friction | None = Field(None, description="Coulomb friction coefficient [-]")
     v_0: Speed | None = Field(None, description="impact speed to calibrate at [m/s]")
     k_n: Stiffness | None = Field(None, description="prescribed linear stiffness [N/m]")
@@ -123,7 +123,7 @@ class ContactTable(Table):
     """``[contact]``; the names of law and method are checked against the registries."""
 
     law: str = Field("tsuji", description="reference contact law")
-    e_n: Fraction = Field(1.0, description="normal restitution [-]")
+    e_n: Restitution = Field(1.0, description="normal restitution [-]")
     end: Literal["overlap", "force"] = Field("overlap", description='contact end: "overlap" or "force"')
     method: str | None = Field(None, description="how k_n is found")
     v_0: Speed | None = Field(None, description="impact speed to calibrate at [m/s]")

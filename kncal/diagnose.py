@@ -134,7 +134,8 @@ def _timed_out(run: _Evidence) -> Diagnosis | None:
 def _interrupted(run: _Evidence) -> Diagnosis | None:
     if run.process.status != "interrupted":
         return None
-    return Diagnosis(code="interrupted", message=f"LIGGGHTS was interrupted {run.reached()}; log: {run.log_path}")
+    how = "killed at once" if run.process.signal == signal.SIGKILL else "interrupted"
+    return Diagnosis(code="interrupted", message=f"LIGGGHTS was {how} {run.reached()}; log: {run.log_path}")
 
 
 def _solver_error(run: _Evidence) -> Diagnosis | None:
@@ -225,6 +226,12 @@ def _dump(run: _Evidence) -> Diagnosis | None:
         return Diagnosis(
             code="lost-particles",
             message=f"{run.dump_path}: {counts[k]} particles at step {steps[k]}, expected {run.expected_atoms}",
+        )
+    if (steps[0], steps[-1]) != (0, run.expected_steps):
+        return Diagnosis(
+            code="truncated-output",
+            message=f"{run.dump_path}: frames of step {steps[0]} to {steps[-1]}, expected 0 to {run.expected_steps}; "
+            "were the first or the last not written?",
         )
     return _not_finite(run.dump_path, table)
 

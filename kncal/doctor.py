@@ -139,12 +139,14 @@ def _package(name: str, specifier: str) -> Finding:
 
 
 def _liggghts() -> Finding:
+    from kncal.engines.liggghts import VERSION
+
     # `-log none` keeps it from writing a log; an empty deck makes it print its banner and end.
     return _program(
         "liggghts",
         ["-log", "none"],
         r"Version LIGGGHTS-PUBLIC ([0-9][\w.]*)",
-        wanted="3.8.0",
+        wanted=VERSION,
         title="LIGGGHTS",
         needed_for="--engine liggghts (the engine builtin needs no solver)",
         package="liggghts",

@@ -31,5 +31,9 @@ class RunError(KncalError, RuntimeError):
     """A solver run did not end as it should."""
 
 
+class InterruptedRunError(RunError):
+    """A run was stopped from outside: Ctrl-C, SIGTERM or SIGHUP."""
+
+
 class SolverMissingError(RunError):
     """The solver's program is not installed or cannot be started."""

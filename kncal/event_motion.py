@@ -27,6 +27,8 @@ from kncal.observe import ContactEvent
 _RTOL = 1e-12
 #: Contact durations per call of DOP853; after each call it is asked whether the bodies have come to rest.
 _CHUNK = 20.0
+#: Evaluations of the forces in one such call; an ordinary contact takes a few thousand.
+_MOST_WORK = 100_000
 #: Motion left, as a share of the overlap, at which bodies in contact are at rest.
 _REST = 1e-9
 #: Tangential speed, as a share of the relative speed, that still counts as a normal impact.
@@ -304,7 +306,7 @@ class EventMotion:
 
     def _derivative(self, active: list[int]) -> Callable[[float, Any], list[float]]:
         """Right-hand side for (displacements, velocities, time integrals of the active overlaps)."""
-        half = self.x.size
+        half, left = self.x.size, _MOST_WORK
         rest = [float(g) for _ in self.names for g in self.gravity]
         parts = []
         for k in active:
@@ -314,6 +316,14 @@ class EventMotion:
             parts.append((self._probe(k), self._force(k), touch.coasting, at, masses))
 
         def derivative(_: float, state: Any) -> list[float]:
+            nonlocal left
+            left -= 1
+            if left < 0:
+                touching = ", ".join("–".join(self.pairs[k].names) for k in active)
+                raise ValidityError(
+                    f"{self.model.scene.name}: the contact at t = {self.t:.6g} s ({touching}) is too strongly damped "
+                    f"to be followed exactly ({_MOST_WORK} evaluations were not enough): expected a larger e_n"
+                )
             y, a, overlaps = state.tolist(), rest[:], []
             for probe, force, coasting, (i, j), (m_i, m_j) in parts:
                 delta, rate, normal = probe(y)

@@ -2,6 +2,7 @@
 
 OUT/case.toml  OUT/manifest.json         the scene as it was run, and its hash
 OUT/linear/    OUT/hertz/                one folder a model: solver input, log, frames, manifest.json, result.json
+OUT/.lock                                held by the run that owns the folder
 OUT/report/                              index.html and its pictures
 OUT/attempt-1/ ...                       what an earlier run left, moved aside
 """
@@ -12,15 +13,20 @@ import hashlib
 import platform
 import shutil
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from kncal import __version__
 from kncal.case_file import dump_case, load_case
-from kncal.engines.base import Profile, RunResult
-from kncal.errors import ReadError, RenderError
+from kncal.engines.base import FRAMES, Profile, RunResult
+from kncal.errors import ReadError, RenderError, RunError
 from kncal.io.tables import read_json, write_json
+from kncal.lock import LOCK, locked, sign
 from kncal.model import Model
 from kncal.scene import Scene
 
@@ -33,37 +39,48 @@ def sha256(path: Path) -> str:
         return hashlib.file_digest(handle, "sha256").hexdigest()
 
 
-def open_case_folder(scene: Scene, out: Path) -> Path:
-    """Make ``out`` ready for a run of ``scene``; what an earlier run left there is moved to ``attempt-N``.
+@contextmanager
+def case_folder(scene: Scene, out: Path) -> Iterator[int]:
+    """Make ``out`` ready for ``scene`` and hold it (see `kncal.lock`): gives the lock's descriptor for the solver.
+
+    What an earlier run left there is moved to ``attempt-N``.
 
     Raises
     ------
     RenderError
-        If ``out`` is a file, or holds things that kncal did not put there.
+        If ``out`` is a file or a link, holds things that kncal did not put there, or is in use by another run.
     """
     if out.is_symlink() or (out.exists() and not out.is_dir()):
         raise RenderError(f"{out}: expected a folder (or nothing yet), not a file or a link; choose another --out")
-    if out.is_dir() and any(out.iterdir()):
-        if not (out / MANIFEST).is_file():
-            raise RenderError(
-                f"{out}: the folder holds files and no kncal {MANIFEST}; choose an empty folder with --out, "
-                "nothing was changed"
-            )
-        _move_aside(out)
+    if not (out / LOCK).exists():
+        _check_ours(out)
     out.mkdir(parents=True, exist_ok=True)
-    (out / CASE).write_text(dump_case(scene), encoding="utf-8")
-    write_json(
-        out / MANIFEST,
-        {"kncal": __version__, "case": scene.name, "case_sha256": sha256(out / CASE), "created": _now()},
-    )
-    return out
+    with locked(out) as descriptor:
+        _check_ours(out)
+        sign(descriptor)
+        if (out / MANIFEST).is_file():
+            _move_aside(out)
+        (out / CASE).write_text(dump_case(scene), encoding="utf-8")
+        write_json(
+            out / MANIFEST,
+            {"kncal": __version__, "case": scene.name, "case_sha256": sha256(out / CASE), "created": _now()},
+        )
+        yield descriptor
+
+
+def _check_ours(out: Path) -> None:
+    if out.is_dir() and not (out / MANIFEST).is_file() and any(path.name != LOCK for path in out.iterdir()):
+        raise RenderError(
+            f"{out}: the folder holds files and no kncal {MANIFEST}; choose an empty folder with --out, "
+            "nothing was changed"
+        )
 
 
 def _move_aside(out: Path) -> None:
     number = 1
     while (attempt := out / f"attempt-{number}").exists():
         number += 1
-    old = [path for path in out.iterdir() if not path.name.startswith("attempt-")]
+    old = [path for path in out.iterdir() if path.name != LOCK and not path.name.startswith("attempt-")]
     attempt.mkdir()
     for path in old:
         shutil.move(path, attempt / path.name)
@@ -80,8 +97,14 @@ def write_model_manifest(model: Model, folder: Path, profile: Profile, command: 
             "case_sha256": hashlib.sha256(dump_case(model.scene).encode()).hexdigest(),
             "model": model.kind,
             "engine": profile.engine,
-            "solver": {"program": str(profile.program or ""), "version": profile.version},
+            "solver": {
+                "program": str(profile.program or ""),
+                "version": profile.version,
+                "sha256": sha256(profile.program) if profile.program else "",
+                "warning": profile.warning,
+            },
             "command": command,
+            "environment": dict(profile.environment),
             "python": platform.python_version(),
             "platform": platform.platform(),
             "dt": model.dt,
@@ -98,31 +121,45 @@ def write_model_manifest(model: Model, folder: Path, profile: Profile, command: 
 
 
 def write_result(result: RunResult) -> None:
-    """Write ``result.json`` beside the run's output (temporary file, fsync, rename)."""
+    """Write ``result.json`` beside the run's output (temporary file, fsync, rename), with what ties the output to it.
+
+    Raises
+    ------
+    RunError
+        If it cannot be written.
+    """
     data = {k: v for k, v in asdict(result).items() if v is not None}
-    data |= {"folder": result.folder.name, "log": result.log.name if result.log else ""}
-    write_json(result.folder / RESULT, data | {"ended": _now()})
+    log = result.log.name if result.log else ""
+    data |= {"folder": result.folder.name, "log": log}
+    try:
+        output = [path for name in (FRAMES, log) if name and (path := result.folder / name).is_file()]
+        files = {path.name: sha256(path) for path in output}
+        write_json(result.folder / RESULT, data | {"files_sha256": files, "ended": _now()})
+    except OSError as error:
+        raise RunError(f"{result.folder / RESULT}: cannot be written ({error.strerror or error})") from error
 
 
 def read_result(folder: Path) -> RunResult:
-    """Read ``result.json`` of a model's folder.
+    """Read ``result.json`` of a model's folder, and check that the frames and the log are still those of the run.
 
     Raises
     ------
     ReadError
-        If there is none (the run has not ended) or it is not one.
+        If there is none (the run has not ended), it is not one, or a file was changed after the run.
     """
     path = folder / RESULT
     if not path.is_file():
         raise ReadError(f"{path}: not there, so this run has not ended; run it with `kncal run`")
-    data = read_json(path)
-    data.pop("ended", None)
-    log = data.pop("log", "")
-    data["folder"] = folder
-    try:
-        return RunResult(**data, log=folder / log if log else None)
-    except TypeError as error:
-        raise ReadError(f"{path}: not a result of this version of kncal: {error}") from error
+    record = _parse(_Result, path)
+    for name, digest in record.files_sha256.items():
+        if not (folder / name).is_file():
+            raise ReadError(f"{folder / name}: not there, though the run wrote it; run the case again")
+        if sha256(folder / name) != digest:
+            raise ReadError(f"{folder / name}: changed since the run ended; run the case again")
+    if record.status == "completed" and FRAMES not in record.files_sha256:
+        raise ReadError(f"{path}: files_sha256 names no {FRAMES}, expected it of a completed run")
+    data = record.model_dump(exclude={"ended", "files_sha256", "folder", "log"})
+    return RunResult(**data, folder=folder, log=folder / record.log if record.log else None)
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
@@ -131,13 +168,12 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     Raises
     ------
     ReadError
-        If there is none.
+        If there is none, or it is not one.
     """
     path = folder / MANIFEST
     if not path.is_file():
         raise ReadError(f"{folder}: no {MANIFEST}; expected a model's run folder, e.g. runs/wall_impact/hertz")
-    data: dict[str, Any] = read_json(path)
-    return data
+    return _parse(_Manifest, path).model_dump()
 
 
 def read_model_folder(folder: Path) -> tuple[Scene, str, str]:
@@ -150,12 +186,97 @@ def read_model_folder(folder: Path) -> tuple[Scene, str, str]:
     """
     data = read_manifest(folder)
     case = folder.parent / CASE
-    if not case.is_file() or "model" not in data:
+    if not case.is_file():
         raise ReadError(f"{folder}: expected a model's run folder with {CASE} in the folder above")
     if sha256(case) != data["case_sha256"]:
         raise ReadError(f"{case}: changed since {folder.name} was rendered; run the case again")
-    scene = load_case(case, name=str(data["case"]))
-    return scene, str(data["model"]), str(data["engine"])
+    if data["model"] != folder.resolve().name:
+        raise ReadError(f"{folder / MANIFEST}: model = {data['model']!r}, expected that of the folder's name")
+    return load_case(case, name=data["case"]), data["model"], data["engine"]
+
+
+def _file_name(text: str) -> str:
+    if text != Path(text).name and text:
+        raise ValueError("expected the name of a file in the run's folder")
+    return text
+
+
+_Kind = Literal["linear", "hertz"]
+_Count = Annotated[int, Field(ge=0)]
+_Positive = Annotated[float, Field(gt=0.0)]
+_Seconds = Annotated[float, Field(ge=0.0)]
+_FileName = Annotated[str, AfterValidator(_file_name)]
+_Digests = dict[_FileName, Annotated[str, Field(pattern="^[0-9a-f]{64}$")]]
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
+
+
+class _Extra(_Record):
+    model_config = ConfigDict(extra="allow")
+
+    cpu_samples: list[_Seconds] = []
+
+
+class _Result(_Record):
+    """``result.json``: a `RunResult` as `write_result` writes it."""
+
+    status: Literal["completed", "failed", "timed_out", "interrupted", "not_installed"]
+    engine: str
+    model: _Kind
+    folder: str
+    steps: _Count
+    dt: _Positive
+    cpu_seconds: _Seconds
+    wall_seconds: _Seconds
+    version: str
+    returncode: int | None = None
+    message: str
+    log: _FileName
+    extra: _Extra
+    files_sha256: _Digests
+    ended: str
+
+
+class _Solver(_Record):
+    program: str
+    version: str
+    sha256: str
+    warning: str
+
+
+class _Manifest(_Record):
+    """``manifest.json`` of a model's folder, as `write_model_manifest` writes it."""
+
+    kncal: str
+    case: str
+    case_sha256: str
+    model: _Kind
+    engine: str
+    solver: _Solver
+    command: list[str]
+    environment: dict[str, str]
+    python: str
+    platform: str
+    dt: _Positive
+    steps: _Count
+    t_end: _Seconds
+    contacts: dict[str, dict[str, Any]]
+    files_sha256: _Digests
+    rendered: str
+
+
+_R = TypeVar("_R", bound=_Record)
+
+
+def _parse(kind: type[_R], path: Path) -> _R:
+    try:
+        return kind.model_validate(read_json(path))
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"]) or "the whole file"
+        raise ReadError(f"{path}: {key}: {first['msg']}; expected what kncal {__version__} writes") from error
 
 
 def _now() -> str:

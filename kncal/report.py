@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kncal.compare import Comparison
+from kncal.errors import RenderError
 from kncal.figures import draw_figures
-from kncal.io.tables import write_csv, write_json
+from kncal.io.tables import write_csv, write_json, write_text
 from kncal.methods import get_method
 from kncal.metrics import metric_text
 from kncal.resources import folder as shipped_folder
@@ -96,10 +98,21 @@ def write_report(
     Path
         Of ``index.html``; beside it ``comparison.json``, ``metrics.csv``, ``calibration.csv``,
         ``speed_accuracy.csv`` and the figures as PNG and SVG.
+
+    Raises
+    ------
+    RenderError
+        If ``folder`` is a file or a symbolic link.
     """
+    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+        raise RenderError(f"{folder}: expected a folder for the report (or nothing yet), not a file or a link")
     folder.mkdir(parents=True, exist_ok=True)
     accuracy = _with_cost(error_table, comparison)
-    figures = draw_figures(comparison, kn_curves, accuracy, folder)
+    # drawn aside and moved, so that each is whole and no link in the folder is followed
+    with tempfile.TemporaryDirectory(dir=folder, prefix=".figures-") as drawn:
+        figures = draw_figures(comparison, kn_curves, accuracy, Path(drawn))
+        for picture in Path(drawn).iterdir():
+            picture.replace(folder / picture.name)
     write_json(folder / "comparison.json", {**comparison.to_dict(), "provenance": dict(provenance)})
     files = ["comparison.json"]
     for name, frame in (
@@ -113,7 +126,8 @@ def write_report(
     scene = comparison.hertz.model.scene
     methods, shared_warnings = _split_warnings(calibration_table)
     page = folder / "index.html"
-    page.write_text(
+    write_text(
+        page,
         _template().render(
             case=scene.name,
             title=scene.title,
@@ -135,7 +149,6 @@ def write_report(
             provenance=provenance,
             files=files,
         ),
-        encoding="utf-8",
     )
     return page
 
@@ -218,15 +231,8 @@ def _cost_table(comparison: Comparison) -> Table:
 
 
 def _warnings(comparison: Comparison) -> list[str]:
-    """What the calibration says about the pairs, each text once."""
-    return list(
-        dict.fromkeys(
-            f"{'–'.join(pair)}: {warning}"
-            for data in (comparison.linear, comparison.hertz)
-            for pair, contact in data.model.contacts.items()
-            for warning in contact.warnings
-        )
-    )
+    """What the calibration says about the pairs that met."""
+    return [text for _, text in comparison.limits]
 
 
 def _split_warnings(table: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:

@@ -86,6 +86,7 @@ def run_process(
     env: Mapping[str, str] | None = None,
     timeout: float | None = None,
     on_line: Callable[[str], None] | None = None,
+    pass_fds: Sequence[int] = (),
 ) -> ProcessResult:
     """Run one program to its end, in its own process group, with no shell and no input.
 
@@ -106,6 +107,8 @@ def run_process(
         Wall-clock limit [s]; after it the child gets SIGTERM twice, then SIGKILL, 2 s apart.
     on_line : callable, optional
         Called in this thread with each line of output, soon after it is written (see `decode_line`).
+    pass_fds : sequence of int
+        Open descriptors that the child inherits, e.g. the lock of its folder.
 
     Returns
     -------
@@ -126,21 +129,20 @@ def run_process(
         positive("timeout", timeout, unit="s")
     begin = time.monotonic()
     descriptor = _open_log(log)
-    session = tempfile.TemporaryDirectory(prefix="kncal-", ignore_cleanup_errors=True)
-    # Isolated programs of one rank share the name of Open MPI's session folder: the first that ends would remove it
-    # under another that is just starting.
-    environment = {**(solver_environment() if env is None else env), "OMPI_MCA_orte_tmpdir_base": session.name}
     try:
-        output = _Output(descriptor, on_line)
-        child = _start(command, cwd, environment, descriptor)
-        if child is None:
-            return _result("not_installed", None, None, 0.0, begin, output, command)
-        deadline = None if timeout is None else begin + timeout
-        status, code, cpu = _watch(child, output, deadline)
-        output.finish()
+        # Isolated programs of one rank share the name of Open MPI's session folder: the first that ends would remove
+        # it under another that is just starting.
+        with tempfile.TemporaryDirectory(prefix="kncal-", ignore_cleanup_errors=True) as session:
+            environment = {**(solver_environment() if env is None else env), "OMPI_MCA_orte_tmpdir_base": session}
+            output = _Output(descriptor, on_line)
+            child = _start(command, cwd, environment, descriptor, pass_fds)
+            if child is None:
+                return _result("not_installed", None, None, 0.0, begin, output, command)
+            deadline = None if timeout is None else begin + timeout
+            status, code, cpu = _watch(child, output, deadline)
+            output.finish()
     finally:
         os.close(descriptor)
-        session.cleanup()
     if code == _NOT_FOUND:
         status = "not_installed"
     number = -code if code < 0 else None
@@ -199,7 +201,7 @@ def _open_log(log: Path) -> int:
 
 
 def _start(
-    command: Sequence[str], cwd: Path, environment: Mapping[str, str], output: int
+    command: Sequence[str], cwd: Path, environment: Mapping[str, str], output: int, pass_fds: Sequence[int]
 ) -> subprocess.Popen[bytes] | None:
     """Start the child; None if there is no such program."""
     program = command[0]
@@ -222,6 +224,7 @@ def _start(
             stdout=output,
             stderr=subprocess.STDOUT,
             process_group=0,
+            pass_fds=pass_fds,
         )
     except (OSError, ValueError) as error:
         raise RunError(f"{found}: cannot be started ({error})") from error

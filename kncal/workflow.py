@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+import logging
+import math
+import shutil
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+from kncal.checks import in_range, one_of, positive
 from kncal.compare import Comparison, RunData
-from kncal.engines.base import Engine, Progress, RunResult
-from kncal.errors import CaseFileError, InputError, RunError, SolverMissingError
+from kncal.engines.base import Engine, Progress, RunResult, run_result
+from kncal.errors import CaseFileError, InputError, InterruptedRunError, ReadError, RunError, SolverMissingError
 from kncal.folder import (
-    open_case_folder,
+    RESULT,
+    case_folder,
     read_manifest,
     read_model_folder,
     read_result,
@@ -37,8 +45,6 @@ def get_engine(name: str) -> Engine:
     InputError
         For an unknown name.
     """
-    from kncal.checks import one_of
-
     one_of("engine", name, ENGINES)
     if name == "builtin":
         from kncal.engines.builtin import Builtin
@@ -52,17 +58,30 @@ def get_engine(name: str) -> Engine:
 def render_case(scene: Scene, engine: Engine, out: Path, kinds: Iterable[str] = KINDS) -> Mapping[str, Model]:
     """Write the case folder: one subfolder with solver input per model, manifests, the case itself.
 
-    Returns the models by kind. Raises `RenderError` and its kin before anything is written where it can.
+    Returns the models by kind. Whatever can be refused is refused before anything is written or moved.
     """
+    with _rendered(scene, engine, out, kinds) as (models, _):
+        return models
+
+
+@contextmanager
+def _rendered(
+    scene: Scene, engine: Engine, out: Path, kinds: Iterable[str]
+) -> Iterator[tuple[Mapping[str, Model], int]]:
+    """Render into ``out`` and own it: gives the models, and the lock's descriptor for the solver to inherit."""
+    kinds = tuple(one_of("model", kind, KINDS) for kind in kinds)
     models = plan(scene, kinds)
-    open_case_folder(scene, out)
     profile = engine.profile()
-    for kind, model in models.items():
-        folder = out / kind
-        folder.mkdir()
-        engine.render(model, folder)
-        write_model_manifest(model, folder, profile, list(engine.command(model)))
-    return models
+    with tempfile.TemporaryDirectory(prefix="kncal-") as name:
+        draft = Path(name)
+        for kind, model in models.items():
+            (draft / kind).mkdir()
+            engine.render(model, draft / kind)
+        with case_folder(scene, out) as lock:
+            for kind, model in models.items():
+                shutil.copytree(draft / kind, out / kind)
+                write_model_manifest(model, out / kind, profile, list(engine.command(model)))
+            yield models, lock
 
 
 def run_case(
@@ -80,30 +99,63 @@ def run_case(
     With ``repeat`` > 1 the models are run in turn that many times (A B A B ...), so that their CPU times are comparable
     on a busy machine; the frames kept are the last run's, the CPU seconds of all stand in ``extra["cpu_samples"]``.
     Every started run leaves its ``result.json``; the caller looks at the status (or calls `require_completed`).
+
+    Raises
+    ------
+    InputError
+        If the timeout or the number of repeats is not positive, or a kind is unknown.
+    SolverMissingError
+        If there is no solver; nothing is written then.
+    RunError
+        If the folder cannot be written.
     """
-    models = render_case(scene, engine, out, kinds)
+    in_range("repeat", repeat, 1, 1e6)
+    if timeout is not None:
+        positive("timeout", timeout, unit="s")
+    profile = engine.profile()
+    if profile.program is None:
+        raise SolverMissingError(profile.problem)
+    if profile.warning:
+        logging.getLogger("kncal").warning("kncal: %s", profile.warning)
     results: dict[str, RunResult] = {}
-    samples: dict[str, list[float]] = {kind: [] for kind in models}
-    for _ in range(repeat):
-        for kind, model in models.items():
-            progress = progress_for(kind) if progress_for else None
-            result = engine.run(model, out / kind, timeout=timeout, progress=progress)
-            samples[kind].append(result.cpu_seconds)
-            results[kind] = replace(result, extra={**result.extra, "cpu_samples": list(samples[kind])})
-            write_result(results[kind])
-            if result.status != "completed":
-                return results
+    samples: dict[str, list[float]] = {kind: [] for kind in KINDS}
+    try:
+        with _rendered(scene, engine, out, kinds) as (models, lock):
+            for kind, model in list(models.items()) * repeat:
+                # a marker of an earlier repeat would vouch for files that this one is writing
+                (out / kind / RESULT).unlink(missing_ok=True)
+                progress = progress_for(kind) if progress_for else None
+                try:
+                    result = engine.run(model, out / kind, timeout=timeout, progress=progress, pass_fds=(lock,))
+                except KeyboardInterrupt:
+                    result = run_result(engine.name, model, out / kind, "interrupted", message="stopped by the user")
+                samples[kind].append(result.cpu_seconds)
+                extra = {**result.extra, "cpu_samples": list(samples[kind])}
+                extra |= {"warning": profile.warning} if profile.warning else {}
+                results[kind] = replace(result, extra=extra)
+                write_result(results[kind])
+                if result.status != "completed":
+                    return results
+    except OSError as error:
+        raise RunError(f"{error.filename or out}: {error.strerror or error}") from error
     return results
 
 
 def require_completed(results: Iterable[RunResult]) -> None:
-    """Raise `SolverMissingError` or `RunError` with the decisive lines if a run did not complete."""
+    """Raise with the decisive lines if a run did not complete.
+
+    Raises
+    ------
+    SolverMissingError, InterruptedRunError, RunError
+        If the solver is not installed, if the run was stopped, or for any other reason.
+    """
+    kinds = {"not_installed": SolverMissingError, "interrupted": InterruptedRunError}
     for result in results:
         if result.status == "completed":
             continue
         where = f" (log: {result.log})" if result.log and str(result.log) not in result.message else ""
         text = f"{result.model} run {result.status.replace('_', ' ')}: {result.message}{where}"
-        raise SolverMissingError(text) if result.status == "not_installed" else RunError(text)
+        raise kinds.get(result.status, RunError)(text)
 
 
 def load_run(folder: Path) -> RunData:
@@ -117,9 +169,15 @@ def load_run(folder: Path) -> RunData:
         If the run did not complete.
     """
     scene, kind, engine_name = read_model_folder(folder)
-    result = replace(read_result(folder), folder=folder)
+    result = read_result(folder)
     require_completed([result])
     model = plan(scene, (kind,))[kind]
+    expected: dict[str, Any] = {"model": kind, "engine": engine_name, "steps": model.n_steps, "dt": model.dt}
+    for key, value in expected.items():
+        found = getattr(result, key)
+        # another machine's logarithm may differ in the last digit of dt
+        if not (math.isclose(found, value, rel_tol=1e-12) if key == "dt" else found == value):
+            raise ReadError(f"{folder / RESULT}: {key} = {found}, expected {value} of this case; run it again")
     trajectory = get_engine(engine_name).read(model, folder)
     return RunData(
         model=model,
@@ -135,7 +193,7 @@ def load_both(out: Path) -> tuple[RunData, RunData]:
     missing = [kind for kind in KINDS if not (out / kind).is_dir()]
     if missing:
         raise CaseFileError(f"{out}: no {missing[0]} run in it; expected the run folder of a case with both models")
-    return load_run(out / "linear"), load_run(out / "hertz")
+    return load_pair(out / "linear", out / "hertz")
 
 
 def load_pair(linear: Path, hertz: Path) -> tuple[RunData, RunData]:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import json
+import signal
+import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -71,7 +74,8 @@ def say(text: str = "") -> None:
 
 def as_json(data: Any) -> None:
     """Print ``data`` as JSON; refuses NaN."""
-    print(json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False))
+    utf8 = (getattr(sys.stdout, "encoding", None) or "utf-8").lower().replace("-", "") == "utf8"
+    print(json.dumps(data, indent=2, ensure_ascii=not utf8, allow_nan=False))
 
 
 @contextmanager
@@ -98,3 +102,51 @@ def progress_bars() -> Iterator[Callable[[str], Progress]]:
             return advance  # type: ignore[return-value]
 
         yield for_model  # type: ignore[misc]
+
+
+class _Steady(io.FileIO):
+    """A stream whose reader may go away: the rest is dropped, so that the exit code still says what was found."""
+
+    def write(self, data: Any) -> int | None:  # type: ignore[override]
+        try:
+            return super().write(data)
+        except BrokenPipeError:
+            return len(data)
+
+
+@contextmanager
+def steady_streams() -> Iterator[None]:
+    """Let standard output and error survive a closed pipe, and signs that their encoding does not have."""
+    given = sys.stdout, sys.stderr
+    sys.stdout, sys.stderr = _steady(sys.stdout, "replace"), _steady(sys.stderr, "backslashreplace")
+    try:
+        yield
+    finally:
+        sys.stdout, sys.stderr = given
+
+
+def _steady(stream: Any, errors: str) -> Any:
+    try:
+        stream.flush()
+        raw = _Steady(stream.fileno(), "w", closefd=False)
+    except (AttributeError, OSError):
+        return stream  # closed, or not a file (a test's)
+    live = errors != "replace" or raw.isatty()
+    return io.TextIOWrapper(io.BufferedWriter(raw), encoding=stream.encoding, errors=errors, line_buffering=live)
+
+
+@contextmanager
+def stop_signals() -> Iterator[None]:
+    """Treat SIGTERM and SIGHUP as Ctrl-C, unless they are ignored (nohup) or handled already."""
+
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    numbers = [n for n in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(n) is signal.SIG_DFL]
+    for number in numbers:
+        signal.signal(number, stop)
+    try:
+        yield
+    finally:
+        for number in numbers:
+            signal.signal(number, signal.SIG_DFL)

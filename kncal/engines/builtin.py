@@ -5,17 +5,18 @@ from __future__ import annotations
 import shlex
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from kncal import __version__
-from kncal.engines.base import Profile, Progress, RunResult
+from kncal.engines.base import FRAMES, Profile, Progress, RunResult, read_frames, run_result
 from kncal.errors import KncalError, RenderError
 from kncal.integrator import check, integrate
-from kncal.io.liggghts_dump import read_trajectory, write_trajectory
+from kncal.io.liggghts_dump import write_trajectory
 from kncal.model import Model
 from kncal.trajectory import Trajectory
 
-SCRIPT, FRAMES = "Allrun", "particles.dump"
+SCRIPT = "Allrun"
 
 
 class _TimeoutError(Exception):
@@ -56,9 +57,16 @@ class Builtin:
         script.chmod(0o755)
 
     def run(
-        self, model: Model, folder: Path, *, timeout: float | None = None, progress: Progress | None = None
+        self,
+        model: Model,
+        folder: Path,
+        *,
+        timeout: float | None = None,
+        progress: Progress | None = None,
+        pass_fds: Sequence[int] = (),
     ) -> RunResult:
         """Integrate the model and write its frames; never raises for a failed run, the status says so."""
+        del pass_fds  # there is no other process
         started, cpu_started = time.monotonic(), time.process_time()
 
         def on_steps(done: int, total: int) -> None:
@@ -78,13 +86,13 @@ class Builtin:
             status, message = "interrupted", "interrupted by the user"
         except (KncalError, OSError) as error:
             status, message = "failed", str(error)
-        return RunResult(
-            status=status,
-            engine=self.name,
-            model=model.kind,
-            folder=folder,
-            steps=model.n_steps,
-            dt=model.dt,
+        except MemoryError:
+            status, message = "failed", "out of memory: record fewer frames, or make the run shorter"
+        return run_result(
+            self.name,
+            model,
+            folder,
+            status,
             cpu_seconds=time.process_time() - cpu_started,
             wall_seconds=time.monotonic() - started,
             version=__version__,
@@ -92,13 +100,5 @@ class Builtin:
         )
 
     def read(self, model: Model, folder: Path) -> Trajectory:
-        """Read the recorded frames of a completed run.
-
-        Raises
-        ------
-        ReadError
-            If the frames are missing, truncated or not those of the model's particles.
-        """
-        particles = model.scene.particles
-        names = tuple(p.name for p in particles)
-        return read_trajectory(folder / FRAMES, names, [p.radius for p in particles], model.dt)
+        """Read the recorded frames of a completed run; see `read_frames`."""
+        return read_frames(model, folder)

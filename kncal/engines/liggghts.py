@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import re
 import shutil
+import tempfile
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 
 from kncal.checks import one_of
 from kncal.diagnose import diagnose_liggghts
-from kncal.engines.base import Profile, Progress, RunResult
+from kncal.engines.base import FRAMES, Profile, Progress, RunResult, read_frames, run_result
 from kncal.engines.liggghts_deck import deck_context
 from kncal.errors import RunError
-from kncal.io.liggghts_dump import read_trajectory
 from kncal.io.liggghts_log import END_MARKER, step_of_line
 from kncal.model import Model
 from kncal.resources import folder as shipped_folder
@@ -21,10 +22,13 @@ from kncal.templating import render
 from kncal.trajectory import Trajectory
 
 PROGRAM = "liggghts"
-DECK, SCRIPT, LOG, FRAMES = "in.liggghts", "Allrun", "log.liggghts", "particles.dump"
+DECK, SCRIPT, LOG = "in.liggghts", "Allrun", "log.liggghts"
+#: The version whose force laws, log and dumps kncal knows.
+VERSION = "3.8.0"
 LINEAR_STYLES = ("hooke/stiffness", "hooke")
 _MISSING = "LIGGGHTS is not installed ({what}): apt-get install liggghts, or use the builtin engine"
 _VERSION = re.compile(r"Version LIGGGHTS-PUBLIC ([0-9][0-9A-Za-z.]*)")
+_BANNER_TIME, _BANNER_SIZE = 10.0, 1 << 16  # [s], [bytes]
 
 
 class Liggghts:
@@ -42,10 +46,10 @@ class Liggghts:
         For another style.
     """
 
-    name = "liggghts"
-
     def __init__(self, linear_style: str = "hooke/stiffness") -> None:
         self.linear_style = one_of("linear_style", linear_style, LINEAR_STYLES)
+        #: as `kncal.workflow.get_engine` takes it
+        self.name = "liggghts" if linear_style == "hooke/stiffness" else "liggghts-hooke"
 
     def profile(self) -> Profile:
         """Look for the solver on this machine; starts it once to learn its version."""
@@ -53,9 +57,16 @@ class Liggghts:
         if program is None or _find("stdbuf") is None:
             what = "no program " + repr(PROGRAM if program is None else "stdbuf") + " on PATH"
             return Profile(engine=self.name, program=None, version="", problem=_MISSING.format(what=what))
-        version = _version(program)
-        problem = "" if version else f"{program} does not say that it is LIGGGHTS-PUBLIC, or which version"
-        return Profile(engine=self.name, program=program if version else None, version=version, problem=problem)
+        version, problem = _version(program)
+        warning = f"{program} is LIGGGHTS {version}; kncal knows {VERSION}: look at the results twice"
+        return Profile(
+            engine=self.name,
+            program=program if version else None,
+            version=version,
+            problem=problem,
+            warning=warning if version and version != VERSION else "",
+            environment=solver_environment(),
+        )
 
     def command(self, model: Model) -> tuple[str, ...]:
         """Return the command that `run` starts in the run's folder; it is the same for every model."""
@@ -79,13 +90,19 @@ class Liggghts:
         (folder / SCRIPT).chmod(0o755)
 
     def run(
-        self, model: Model, folder: Path, *, timeout: float | None = None, progress: Progress | None = None
+        self,
+        model: Model,
+        folder: Path,
+        *,
+        timeout: float | None = None,
+        progress: Progress | None = None,
+        pass_fds: Sequence[int] = (),
     ) -> RunResult:
         """Run the deck in ``folder``; never raises for a failed run, the status says so."""
         profile = self.profile()
         log = folder / LOG
         if profile.program is None:
-            return self._result(model, folder, "not_installed", message=profile.problem)
+            return run_result(self.name, model, folder, "not_installed", message=profile.problem)
 
         def on_line(line: str) -> None:
             step = step_of_line(line)
@@ -98,17 +115,19 @@ class Liggghts:
                 self.command(model),
                 cwd=folder,
                 log=log,
-                env=solver_environment(),
+                env=profile.environment,
                 timeout=timeout,
                 on_line=on_line,
+                pass_fds=pass_fds,
             )
         except (RunError, OSError) as error:
-            return self._result(model, folder, "failed", message=str(error), version=profile.version)
+            return run_result(self.name, model, folder, "failed", message=str(error), version=profile.version)
         problem = diagnose_liggghts(process, log, folder / FRAMES, model.n_steps, len(model.scene.particles))
         status = process.status
         if status == "exited":
             status = "completed" if problem is None else "failed"
-        return self._result(
+        return run_result(
+            self.name,
             model,
             folder,
             status,
@@ -121,44 +140,8 @@ class Liggghts:
         )
 
     def read(self, model: Model, folder: Path) -> Trajectory:
-        """Read the recorded frames of a completed run.
-
-        Raises
-        ------
-        ReadError
-            If the frames are missing, truncated or not those of the model's particles.
-        """
-        particles = model.scene.particles
-        names = tuple(p.name for p in particles)
-        return read_trajectory(folder / FRAMES, names, [p.radius for p in particles], model.dt)
-
-    def _result(
-        self,
-        model: Model,
-        folder: Path,
-        status: str,
-        *,
-        message: str = "",
-        cpu_seconds: float = 0.0,
-        wall_seconds: float = 0.0,
-        version: str = "",
-        returncode: int | None = None,
-        log: Path | None = None,
-    ) -> RunResult:
-        return RunResult(
-            status=status,
-            engine=self.name,
-            model=model.kind,
-            folder=folder,
-            steps=model.n_steps,
-            dt=model.dt,
-            cpu_seconds=cpu_seconds,
-            wall_seconds=wall_seconds,
-            version=version,
-            returncode=returncode,
-            message=message,
-            log=log,
-        )
+        """Read the recorded frames of a completed run; see `read_frames`."""
+        return read_frames(model, folder)
 
 
 def _find(program: str) -> Path | None:
@@ -167,22 +150,24 @@ def _find(program: str) -> Path | None:
 
 
 @lru_cache(maxsize=8)
-def _version(program: Path) -> str:
-    """Return the version that the program's banner names, empty if it names none; asked once per program."""
-    import subprocess
-
+def _version(program: Path) -> tuple[str, str]:
+    """Return the version that the program's banner names, and why there is none; asked once per program."""
     try:
-        # Without a log and with an empty deck it prints its banner and ends.
-        done = subprocess.run(  # noqa: S603  # a program found on PATH, fixed arguments
-            [str(program), "-log", "none"],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            env=solver_environment(),
-            timeout=60,
-            check=False,
-        )
-    except (OSError, subprocess.TimeoutExpired):
-        return ""
-    match = _VERSION.search(done.stdout.decode(errors="replace"))
-    return match.group(1) if match else ""
+        with tempfile.TemporaryDirectory(prefix="kncal-") as name:
+            folder = Path(name)
+            # Without a log and with an empty deck it prints its banner and ends.
+            process = run_process(
+                (str(program), "-log", "none"), cwd=folder, log=folder / "banner", timeout=_BANNER_TIME
+            )
+            with (folder / "banner").open("rb") as file:
+                text = file.read(_BANNER_SIZE).decode(errors="replace")
+    except (RunError, OSError) as error:
+        return "", f"{program} cannot be asked for its version: {error}"
+    if process.status == "interrupted":
+        raise KeyboardInterrupt
+    if match := _VERSION.search(text):
+        return match.group(1), ""
+    if process.status == "timed_out":
+        return "", f"{program} did not name its version within {_BANNER_TIME:g} s"
+    said = " | ".join(process.last_lines[-3:]) or "nothing"
+    return "", f"{program} does not say that it is LIGGGHTS-PUBLIC, or which version; it said: {said}"

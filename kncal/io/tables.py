@@ -31,7 +31,7 @@ def write_json(path: Path, data: object) -> None:
         If a value is NaN or infinite, or of a kind that JSON has no form for; the text names the key.
     """
     text = json.dumps(_plain(data, ""), indent=2, ensure_ascii=False, allow_nan=False)
-    _replace(path, text + "\n")
+    write_text(path, text + "\n")
 
 
 def read_json(path: Path) -> Any:
@@ -84,7 +84,7 @@ def write_csv(path: Path, frame: pd.DataFrame, units: Mapping[str, str]) -> None
     if missing:
         raise InputError(f"units: nothing for {', '.join(missing)}; expected a unit for each column ('-' for none)")
     comment = "# units: " + ", ".join(f"{name} [{units[name]}]" for name in frame.columns)
-    _replace(path, f"{' '.join(comment.split())}\n{frame.to_csv(index=False, lineterminator=chr(10))}")
+    write_text(path, f"{' '.join(comment.split())}\n{frame.to_csv(index=False, lineterminator=chr(10))}")
 
 
 def _plain(value: Any, where: str) -> Any:
@@ -109,8 +109,11 @@ def _plain(value: Any, where: str) -> Any:
     raise InputError(f"{where or 'value'}: {type(value).__name__} has no form in JSON; expected plain data")
 
 
-def _replace(path: Path, text: str) -> None:
-    """Write a temporary file beside ``path``, bring it to the disk, and put it in place in one move."""
+def write_text(path: Path, text: str) -> None:
+    """Write a temporary file beside ``path``, bring it to the disk, and put it in place in one move.
+
+    A symbolic link at ``path`` is replaced, not followed.
+    """
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:100]}.", suffix=".part")
     temporary = Path(name)
     try:
