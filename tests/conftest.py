@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import signal
 
 import pytest
 from hypothesis import settings
@@ -10,6 +11,11 @@ from hypothesis import settings
 # A shared machine may stop for a moment in the middle of an example; that is no failure.
 settings.register_profile("kncal", deadline=None)
 settings.load_profile("kncal")
+
+# A job started in the background ignores these and hands that on to every child; the tests of interruption need them
+# as in a terminal.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
