@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 
 import numpy as np
 
-from kncal.case_schema import CaseTable
+from kncal.case_schema import CaseTable, ContactTable, MaterialTable
 from kncal.checks import one_of
 from kncal.errors import InputError
 from kncal.material import Material
 from kncal.metrics import METRICS
 from kncal.needs import OVERRULABLE
-from kncal.scene import AXES
+from kncal.scene import AXES, ContactChoice, PairChoice
 
 Path = tuple[str | int, ...]
 Problem = tuple[Path, str]
@@ -28,13 +28,28 @@ def problems(case: CaseTable) -> list[Problem]:
     return [problem for check in _CHECKS for problem in check(case)]
 
 
-def make_materials(case: CaseTable) -> dict[str, Material]:
+def make_materials(tables: Mapping[str, MaterialTable]) -> dict[str, Material]:
     """Return the materials by name; `InputError` for a value out of range."""
-    return {name: Material(name=name, **dict(table)) for name, table in case.materials.items()}
+    return {name: Material(name=name, **dict(table)) for name, table in tables.items()}
 
 
-def _materials(case: CaseTable) -> Iterator[Problem]:
-    for name, table in case.materials.items():
+def make_contact(table: ContactTable) -> ContactChoice:
+    """Return what a ``[contact]`` table says."""
+    values = table.model_dump(exclude={"options", "pairs", "method"})
+    if table.method is not None:
+        values["method"] = table.method
+    return ContactChoice(
+        **values,
+        method_options=dict(table.options),
+        pairs=tuple(
+            PairChoice(between=(c.between[0], c.between[1]), **c.model_dump(exclude={"between"})) for c in table.pairs
+        ),
+    )
+
+
+def material_problems(tables: Mapping[str, MaterialTable]) -> Iterator[Problem]:
+    """Yield what is wrong with the ``[materials.NAME]`` of any kind of case."""
+    for name, table in tables.items():
         if name == RIGID:
             yield ("materials", name), f"{RIGID!r} is the name for a rigid wall: expected another name"
         try:
@@ -42,14 +57,19 @@ def _materials(case: CaseTable) -> Iterator[Problem]:
         except InputError as error:
             key = str(error).partition(" = ")[0]
             yield ("materials", name, key), str(error)
+
+
+def _materials(case: CaseTable) -> Iterator[Problem]:
+    yield from material_problems(case.materials)
     known = tuple(case.materials)
     for i, particle in enumerate(case.particles):
-        yield from _known(("particles", i, "material"), particle.material, known)
+        yield from known_name(("particles", i, "material"), particle.material, known)
     for i, wall in enumerate(case.walls):
-        yield from _known(("walls", i, "material"), wall.material, (*known, RIGID))
+        yield from known_name(("walls", i, "material"), wall.material, (*known, RIGID))
 
 
-def _known(path: Path, value: str, allowed: Collection[str], label: str = "") -> Iterator[Problem]:
+def known_name(path: Path, value: str, allowed: Collection[str], label: str = "") -> Iterator[Problem]:
+    """Yield a problem if ``value`` is not one of the ``allowed`` names."""
     try:
         one_of(label or str(path[-1]), value, allowed)
     except InputError as error:
@@ -67,14 +87,14 @@ def _names(case: CaseTable) -> Iterator[Problem]:
         taken.setdefault(name, f"{kind}[{i}]")
 
 
-def _contact(case: CaseTable) -> Iterator[Problem]:
+def contact_problems(contact: ContactTable) -> Iterator[Problem]:
+    """Yield what is wrong with the ``[contact]`` of any kind of case, but for the names in its exceptions."""
     from kncal.contact.registry import LAWS
     from kncal.methods import METHODS
 
-    contact = case.contact
-    yield from _known(("contact", "law"), contact.law, LAWS)
+    yield from known_name(("contact", "law"), contact.law, LAWS)
     if contact.method is not None:
-        yield from _known(("contact", "method"), contact.method, METHODS)
+        yield from known_name(("contact", "method"), contact.method, METHODS)
     if contact.k_n is not None:
         for key, given in (("method", contact.method), ("options", contact.options)):
             if given:
@@ -96,6 +116,10 @@ def _contact(case: CaseTable) -> Iterator[Problem]:
                 )
 
 
+def _contact(case: CaseTable) -> Iterator[Problem]:
+    return contact_problems(case.contact)
+
+
 def _pairs(case: CaseTable) -> Iterator[Problem]:
     spheres = [{p.name, p.material} for p in case.particles]
     walls = [{w.name, w.material} for w in case.walls]
@@ -104,7 +128,7 @@ def _pairs(case: CaseTable) -> Iterator[Problem]:
         path: Path = ("contact", "pairs", i)
         unknown = [name for name in choice.between if name not in known]
         for name in unknown:
-            yield from _known((*path, "between"), name, known)
+            yield from known_name((*path, "between"), name, known)
         if choice.e_n is choice.friction is choice.v_0 is choice.k_n is None:
             yield path, "changes nothing: expected at least one of e_n, friction, v_0, k_n"
         one, two = choice.between
@@ -162,12 +186,17 @@ def _tolerances(case: CaseTable) -> Iterator[Problem]:
     later = {f"{base}_{n}" for base in _OF_EACH_CONTACT for n in range(2, 100)}
     for name in case.tolerances:
         if name not in later:
-            yield from _known(("tolerances", name), name, METRICS, "metric")
+            yield from known_name(("tolerances", name), name, METRICS, "metric")
 
 
 def _needs(case: CaseTable) -> Iterator[Problem]:
-    for name in case.needs:
-        yield from _known(("needs", name), name, OVERRULABLE, "physics")
+    return needs_problems(case.needs)
+
+
+def needs_problems(needs: Collection[str]) -> Iterator[Problem]:
+    """Yield what is wrong with the ``[needs]`` of any kind of case."""
+    for name in needs:
+        yield from known_name(("needs", name), name, OVERRULABLE, "physics")
 
 
 _CHECKS: tuple[Callable[[CaseTable], Iterator[Problem]], ...] = (

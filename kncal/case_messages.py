@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-from kncal.case_schema import description, table_at
+from kncal.case_schema import CaseTable, Root, description, table_at
 from kncal.errors import CaseFileError
 
 if TYPE_CHECKING:
@@ -26,14 +26,14 @@ _KEYS = rf"{_PART}(?:\s*\.\s*{_PART})*"
 _LINE = re.compile(rf"\s*(?:\[\[\s*(?P<many>{_KEYS})\s*\]\]|\[\s*(?P<one>{_KEYS})\s*\]|(?P<key>{_KEYS})\s*=)")
 
 
-def fault(error: ErrorDetails) -> Fault:
-    """Turn one of pydantic's findings into (path, message)."""
+def fault(error: ErrorDetails, root: type[Root] = CaseTable) -> Fault:
+    """Turn one of pydantic's findings in a file of the form ``root`` into (path, message)."""
     path = tuple(part for part in error["loc"] if part not in ("float", "str", "function-after[_option(), float]"))
-    kind, meaning = error["type"], description(path)
+    kind, meaning = error["type"], description(path, root)
     value = f"{_shown(path)} = {short(error['input'])}"
     about = f" for the {meaning}" if meaning else ""
     if kind == "extra_forbidden":
-        return path, f"{_shown(path)}: unknown key: {_instead(str(path[-1]), table_at(path).model_fields)}"
+        return path, f"{_shown(path)}: unknown key: {_instead(str(path[-1]), table_at(path, root).model_fields)}"
     if kind == "missing":
         return path, f"{_shown(path)}: missing: expected {meaning}"
     if path and path[-1] == "[key]":

@@ -6,7 +6,8 @@ Only the form of each value is checked here; what values must satisfy together i
 from __future__ import annotations
 
 import re
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
@@ -33,7 +34,9 @@ def _line(text: str) -> str:
     return text
 
 
-def _within(low: float, high: float, unit: str = "", hint: str = "") -> AfterValidator:
+def within(low: float, high: float, unit: str = "", hint: str = "") -> AfterValidator:
+    """Return a validator for a number in [low, high]."""
+
     def check(value: float) -> float:
         in_range("value", value, low, high, unit=unit, hint=hint)
         return value
@@ -41,7 +44,9 @@ def _within(low: float, high: float, unit: str = "", hint: str = "") -> AfterVal
     return AfterValidator(check)
 
 
-def _above_zero(unit: str = "", hint: str = "", high: float = np.inf) -> AfterValidator:
+def above_zero(unit: str = "", hint: str = "", high: float = np.inf) -> AfterValidator:
+    """Return a validator for a number in (0, high]."""
+
     def check(value: float) -> float:
         in_range("value", value, 0.0, high, low_open=True, unit=unit, hint=hint)
         return value
@@ -58,16 +63,16 @@ def _option(value: float | str) -> float | str:
 
 Name = Annotated[str, AfterValidator(_name)]
 Text = Annotated[str, AfterValidator(_line)]
-Restitution = Annotated[float, _within(1e-3, 1.0, hint="a contact with less hardly ever ends")]
-Friction = Annotated[float, _within(0.0, 10.0)]
-Speed = Annotated[float, _above_zero("m/s", high=1e4)]
-Stiffness = Annotated[float, _above_zero("N/m")]
-Seconds = Annotated[float, _above_zero("s")]
-_THREE = Field(min_length=3, max_length=3)
-Position = Annotated[list[Annotated[float, _within(-1e4, 1e4, "m", "1 mm is 1e-3")]], _THREE]
-Velocity = Annotated[list[Annotated[float, _within(-1e4, 1e4, "m/s")]], _THREE]
-Spin = Annotated[list[Annotated[float, _within(-1e8, 1e8, "rad/s")]], _THREE]
-Acceleration = Annotated[list[Annotated[float, _within(-1e5, 1e5, "m/s²")]], _THREE]
+Restitution = Annotated[float, within(1e-3, 1.0, hint="a contact with less hardly ever ends")]
+Friction = Annotated[float, within(0.0, 10.0)]
+Speed = Annotated[float, above_zero("m/s", high=1e4)]
+Stiffness = Annotated[float, above_zero("N/m")]
+Seconds = Annotated[float, above_zero("s")]
+THREE = Field(min_length=3, max_length=3)
+Position = Annotated[list[Annotated[float, within(-1e4, 1e4, "m", "1 mm is 1e-3")]], THREE]
+Velocity = Annotated[list[Annotated[float, within(-1e4, 1e4, "m/s")]], THREE]
+Spin = Annotated[list[Annotated[float, within(-1e8, 1e8, "rad/s")]], THREE]
+Acceleration = Annotated[list[Annotated[float, within(-1e5, 1e5, "m/s²")]], THREE]
 
 
 class Table(BaseModel):
@@ -90,7 +95,7 @@ class ParticleTable(Table):
 
     name: Name = Field(description="the particle's name")
     material: Name = Field(description="the name of a material")
-    diameter: Annotated[float, _within(2e-9, 1e3, "m", "1 mm is 1e-3")] = Field(description="diameter [m]")
+    diameter: Annotated[float, within(2e-9, 1e3, "m", "1 mm is 1e-3")] = Field(description="diameter [m]")
     position: Position = Field(description="[x, y, z] of the centre [m]")
     velocity: Velocity = Field([0.0, 0.0, 0.0], description="[x, y, z] of the velocity [m/s]")
     spin: Spin = Field([0.0, 0.0, 0.0], description="[x, y, z] of the angular velocity [rad/s]")
@@ -101,7 +106,7 @@ class WallTable(Table):
 
     name: Name = Field(description="the wall's name")
     axis: Literal["x", "y", "z"] = Field(description='the plane\'s normal: "x", "y" or "z"')
-    position: Annotated[float, _within(-1e4, 1e4, "m", "1 mm is 1e-3")] = Field(
+    position: Annotated[float, within(-1e4, 1e4, "m", "1 mm is 1e-3")] = Field(
         description="coordinate of the plane [m]"
     )
     material: Name = Field(description='the name of a material, or "rigid"')
@@ -129,7 +134,7 @@ class ContactTable(Table):
     v_0: Speed | None = Field(None, description="impact speed to calibrate at [m/s]")
     k_n: Stiffness | None = Field(None, description="prescribed linear stiffness [N/m]")
     friction: Friction = Field(0.0, description="Coulomb friction coefficient [-]")
-    k_t_ratio: Annotated[float, _within(0.0, 10.0)] | None = Field(None, description="k_t/k_n [-]")
+    k_t_ratio: Annotated[float, within(0.0, 10.0)] | None = Field(None, description="k_t/k_n [-]")
     rolling_friction: Friction = Field(0.0, description="rolling friction coefficient [-]")
     options: dict[Name, Annotated[float | str, AfterValidator(_option)]] = Field(
         {}, description="options of the method"
@@ -140,35 +145,42 @@ class ContactTable(Table):
 class RunTable(Table):
     """``[run]``."""
 
-    steps_per_contact: Annotated[float, _within(4.0, 1e6, hint="50 is usual")] = Field(
+    steps_per_contact: Annotated[float, within(4.0, 1e6, hint="50 is usual")] = Field(
         50.0, description="steps per contact duration [-]"
     )
     until_time: Seconds | None = Field(None, description="end time [s]")
-    until_bounces: Annotated[int, _within(1, 1000)] | None = Field(None, description="number of contacts")
+    until_bounces: Annotated[int, within(1, 1000)] | None = Field(None, description="number of contacts")
     dt: Seconds | None = Field(None, description="time step [s]")
-    record_every: Annotated[int, _within(1, 1e6)] = Field(1, description="steps between recorded frames")
+    record_every: Annotated[int, within(1, 1e6)] = Field(1, description="steps between recorded frames")
 
 
-class CaseTable(Table):
-    """The whole file."""
+class Root(Table):
+    """What the whole file of every kind of case has; ``parts``: the tables below it, by the key that holds them."""
+
+    parts: ClassVar[Mapping[str, type[Table]]] = {}
 
     title: Text = Field("", description="one line: what the case is")
     source: Text = Field("", description="one line: where its parameters come from")
-    gravity: Acceleration = Field([0.0, 0.0, 0.0], description="[x, y, z] of gravity [m/s²]")
     materials: dict[Name, MaterialTable] = Field(min_length=1, description="at least one [materials.NAME]")
+
+
+class CaseTable(Root):
+    """The whole file of a case of single contacts."""
+
+    gravity: Acceleration = Field([0.0, 0.0, 0.0], description="[x, y, z] of gravity [m/s²]")
     particles: list[ParticleTable] = Field(
         min_length=1, max_length=MOST_PARTICLES, description="at least one [[particles]]"
     )
     walls: list[WallTable] = Field([], max_length=MOST_WALLS, description="[[walls]]")
     contact: ContactTable = Field(default_factory=lambda: ContactTable.model_validate({}), description="[contact]")
     run: RunTable = Field(description="[run] with until_time or until_bounces")
-    tolerances: dict[str, Annotated[float, _above_zero()]] = Field(
+    tolerances: dict[str, Annotated[float, above_zero()]] = Field(
         {}, description="metric = allowed relative difference"
     )
     needs: dict[str, bool] = Field({}, description="physics = true or false")
 
 
-_TABLES: dict[str, type[Table]] = {
+CaseTable.parts = {
     "particles": ParticleTable,
     "walls": WallTable,
     "contact": ContactTable,
@@ -177,17 +189,17 @@ _TABLES: dict[str, type[Table]] = {
 }
 
 
-def table_at(path: tuple[str | int, ...]) -> type[Table]:
+def table_at(path: tuple[str | int, ...], root: type[Root] = CaseTable) -> type[Table]:
     """Return the table whose key or inside ``path`` is: ``("walls", 0, "axis")`` -> `WallTable`."""
     if path[:1] == ("materials",) and len(path) > 2:
         return MaterialTable
-    tables = [part for part in path[:-1] if part in _TABLES]
-    return _TABLES[str(tables[-1])] if tables else CaseTable
+    tables = [part for part in path[:-1] if part in root.parts]
+    return root.parts[str(tables[-1])] if tables else root
 
 
-def description(path: tuple[str | int, ...]) -> str:
+def description(path: tuple[str | int, ...], root: type[Root] = CaseTable) -> str:
     """Return what the key at ``path`` means, with its unit; "" for a key that kncal doesn't know."""
     while path and isinstance(path[-1], int):
         path = path[:-1]
-    field = table_at(path).model_fields.get(str(path[-1])) if path else None
+    field = table_at(path, root).model_fields.get(str(path[-1])) if path else None
     return (field.description or "") if field is not None else ""

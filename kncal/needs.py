@@ -7,6 +7,7 @@ pass them on. No force ever points out of that space, so nothing leaves it.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -48,7 +49,7 @@ class Needs:
     ----------
     dimensions : 1, 2 or 3: the motion stays on a line, in a plane, or in neither
     dimensions_reason : why, one sentence
-    items : one `Need` per name of `PHYSICS`
+    items : one `Need` per name of `PHYSICS`; of a bed, see `kncal.bed.needs`
     """
 
     dimensions: int
@@ -56,8 +57,8 @@ class Needs:
     items: tuple[Need, ...]
 
     def uses(self, name: str) -> bool:
-        """Return whether a kind of physics is used; `InputError` for a name not in `PHYSICS`."""
-        one_of("physics", name, PHYSICS)
+        """Return whether a kind of physics is used; `InputError` for a name that is not among the items."""
+        one_of("physics", name, [item.name for item in self.items])
         return next(item.used for item in self.items if item.name == name)
 
     def rows(self) -> list[dict[str, str]]:
@@ -131,12 +132,13 @@ def decide(scene: Scene) -> Needs:
     return Needs(
         dimensions=max(rank, 1),
         dimensions_reason=shape[rank] + ("" if rank in (0, 3) else f" ({_directions(space)})"),
-        items=tuple(_overruled(item, scene) for item in own),
+        items=tuple(overruled(item, scene.overrules) for item in own),
     )
 
 
-def _overruled(item: Need, scene: Scene) -> Need:
-    wish = scene.overrules.get(item.name, item.used)
+def overruled(item: Need, overrules: Mapping[str, bool]) -> Need:
+    """Return kncal's decision with the user's own in its place, if there is one."""
+    wish = overrules.get(item.name, item.used)
     return Need(name=item.name, used=wish, reason=item.reason, overruled=wish != item.used)
 
 

@@ -5,20 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
 from kncal.ballistics import first_touch, initial_overlap
-from kncal.calibration import Calibration, calibrate
-from kncal.contact.registry import get_law
+from kncal.calibration import Calibration
 from kncal.errors import CaseFileError
-from kncal.impact import dimensionless_impact
 from kncal.material import Pair, pair, wall_pair
 from kncal.model import KINDS, Model, PairContact
 from kncal.needs import Needs, decide
+from kncal.pair_contact import PairNumbers, Rest, calibration_for, numbers_of, pair_contact, smooth
 from kncal.scene import Particle, Scene, Wall
-from kncal.timestep import contact_time
 
 #: More steps than this are refused before the run rather than after a day.
 MOST_STEPS = 500_000_000
@@ -55,35 +52,7 @@ def plan(scene: Scene, kinds: Iterable[str] = KINDS) -> dict[str, Model]:
 
 def calibration_of(scene: Scene, a: Particle, b: Particle | Wall) -> Calibration | None:
     """Return the calibration of one pair, or None where the case prescribes k_n without an impact speed."""
-    e_n, _, v_0, k_n = pair_choice(scene, a, b)
-    if v_0 is None:
-        return None
-    contact = scene.contact
-    contact_pair = pair_of(a, b)
-    if k_n is not None:
-        # A prescribed stiffness is a contact of the duration that this stiffness gives.
-        t_c = contact_time(k_n, contact_pair.m_eff, e_n, contact.end)
-        return calibrate(
-            contact_pair, v_0=v_0, e_n=e_n, law=contact.law, method="contact_time", end=contact.end, t_c=t_c
-        )
-    return calibrate(
-        contact_pair,
-        v_0=v_0,
-        e_n=e_n,
-        law=contact.law,
-        method=contact.method,
-        end=contact.end,
-        **contact.method_options,
-    )
-
-
-class PairNumbers(NamedTuple):
-    """What the case says about one pair: e_n [-], friction [-], v_0 [m/s] and k_n [N/m] where prescribed."""
-
-    e_n: float
-    friction: float
-    v_0: float | None
-    k_n: float | None
+    return calibration_for(scene.contact, pair_of(a, b), pair_choice(scene, a, b))
 
 
 def pair_choice(scene: Scene, a: Particle, b: Particle | Wall) -> PairNumbers:
@@ -92,18 +61,12 @@ def pair_choice(scene: Scene, a: Particle, b: Particle | Wall) -> PairNumbers:
     v_0 is the speed of the scene's first impact where the case gives none, and None if nothing moves towards anything
     and k_n is prescribed.
     """
-    contact = scene.contact
-    e_n, friction, v_0, k_n = contact.e_n, contact.friction, contact.v_0, contact.k_n
-    if (choice := scene.choice_for(a, b)) is not None:
-        e_n = e_n if choice.e_n is None else choice.e_n
-        friction = friction if choice.friction is None else choice.friction
-        v_0 = v_0 if choice.v_0 is None else choice.v_0
-        k_n = k_n if choice.k_n is None else choice.k_n
-    if v_0 is None:
-        v_0 = first_impact_speed(scene)
-        if v_0 is None and k_n is None:
+    numbers = numbers_of(scene.contact, scene.choice_for(a, b))
+    if numbers.v_0 is None:
+        numbers = numbers._replace(v_0=first_impact_speed(scene))
+        if numbers.v_0 is None and numbers.k_n is None:
             raise CaseFileError(f"{scene.name}: {_why_no_speed(scene)}")
-    return PairNumbers(e_n, friction, v_0, k_n)
+    return numbers
 
 
 def _why_no_speed(scene: Scene) -> str:
@@ -129,10 +92,8 @@ def first_impact_speed(scene: Scene) -> float | None:
 
 def _model(scene: Scene, kind: str, needs: Needs) -> Model:
     contacts = {(a.name, b.name): _contact(scene, a, b, kind) for a, b in scene.body_pairs()}
-    if not needs.uses("tangential"):
-        contacts = {names: replace(c, friction=0.0) for names, c in contacts.items()}
-    if not needs.uses("rolling"):
-        contacts = {names: replace(c, rolling_friction=0.0) for names, c in contacts.items()}
+    uses = {name: needs.uses(name) for name in ("tangential", "rolling")}
+    contacts = {names: smooth(c, **uses) for names, c in contacts.items()}
     shortest = min(c.t_c for c in contacts.values())
     dt = scene.run.dt if scene.run.dt is not None else shortest / scene.run.steps_per_contact
     return Model(
@@ -159,74 +120,8 @@ def _timed(model: Model, t_end: float) -> Model:
     return replace(model, t_end=t_end, n_steps=n_steps, flight_every=flight)
 
 
-def _resting_time(scene: Scene, a: Particle, b: Particle | Wall, both: Pair) -> float:
-    """Half period of a small oscillation about the start overlap or else the overlap under gravity [s]."""
-    k_h, m_eff = float(both.k_h), float(both.m_eff)
-    g = float(np.linalg.norm(scene.gravity))
-    delta = max(initial_overlap(a, b), (m_eff * g / k_h) ** (2.0 / 3.0))
-    if delta <= 0.0:
-        raise CaseFileError(
-            f"{scene.name}: no speed, no overlap and no gravity between {a.name!r} and {b.name!r} to choose a time "
-            "step from: expected contact.v_0 [m/s]"
-        )
-    return math.pi * math.sqrt(m_eff / (1.5 * k_h * math.sqrt(delta)))
-
-
 def _contact(scene: Scene, a: Particle, b: Particle | Wall, kind: str) -> PairContact:
-    e_n, friction, v_0, k_n = pair_choice(scene, a, b)
-    contact, both = scene.contact, pair_of(a, b)
-    calibration = calibration_of(scene, a, b)
-    m_eff, E_eff, R_eff, G_eff = (float(x) for x in (both.m_eff, both.E_eff, both.R_eff, both.G_eff))
-    ratio = contact.k_t_ratio
-    if kind == "linear":
-        stiffness = k_n if k_n is not None else float(calibration.k_n)  # type: ignore[union-attr]
-        t_c = float(contact_time(stiffness, m_eff, e_n, contact.end))
-        delta_max = None if calibration is None else float(calibration.delta_max)
-        law, n, p = "linear", 1.0, 0.0
-        c = float(dimensionless_impact("linear", e_n, contact.end).C) * math.sqrt(stiffness * m_eff)
-        k_t = stiffness * float(both.k_t_ratio if ratio is None else ratio)
-    else:
-        reference = get_law(contact.law)
-        if reference.stiffness_exponent == 1.0:
-            raise CaseFileError(
-                f"{scene.name}: contact.law = {reference.name!r}: expected a Hertz-type reference law for the "
-                "hertz run (tsuji, hertz, kuwabara_kono, hunt_crossley)"
-            )
-        stiffness, law, n = float(both.k_h), reference.name, 1.5
-        p = reference.damping_exponent or 0.0
-        speed = v_0 if v_0 is not None else 1.0
-        length = (m_eff * speed**2 / stiffness) ** 0.4
-        C = float(dimensionless_impact(reference, 1.0 if law == "hertz" else e_n, contact.end).C)
-        if v_0 is None and reference.e_depends_on_speed:
-            raise CaseFileError(
-                f"{scene.name}: law {law!r} needs contact.v_0 [m/s], since its e_n depends on the speed"
-            )
-        c = C * m_eff * speed / length ** (p + 1.0)
-        if calibration is None:
-            t_c, delta_max = _resting_time(scene, a, b, both), None
-        else:
-            t_c, delta_max = float(calibration.reference.t_c), float(calibration.reference.delta_max)
-            if initial_overlap(a, b) > delta_max:
-                # pressed together harder than an impact at v_0 would: stiffer, so shorter
-                t_c = min(t_c, _resting_time(scene, a, b, both))
-        k_t = 8.0 * G_eff * math.sqrt(R_eff)
-    return PairContact(
-        law=law,
-        k=stiffness,
-        n=n,
-        c=c,
-        p=p,
-        end=contact.end,
-        e_n=e_n if law != "hertz" else 1.0,
-        v_0=v_0,
-        t_c=t_c,
-        delta_max=delta_max,
-        m_eff=m_eff,
-        R_eff=R_eff,
-        E_eff=E_eff,
-        G_eff=G_eff,
-        friction=friction,
-        rolling_friction=contact.rolling_friction,
-        k_t=k_t,
-        warnings={} if calibration is None else {w.code: str(w) for w in calibration.warnings},
-    )
+    both = pair_of(a, b)
+    rest = Rest(initial_overlap(a, b), float(both.m_eff) * float(np.linalg.norm(scene.gravity)))
+    names = f"{a.name!r} and {b.name!r}"
+    return pair_contact(scene.contact, both, pair_choice(scene, a, b), kind, rest, scene=scene.name, names=names)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass, field
 
 from kncal.material import Material
@@ -92,6 +92,14 @@ class ContactChoice:
     rolling_friction: float = 0.0
     pairs: tuple[PairChoice, ...] = ()
 
+    def exception(self, names_a: Container[str], names_b: Container[str]) -> PairChoice | None:
+        """Return the first exception that names both bodies, each known by several names, or None."""
+        for choice in self.pairs:
+            one, two = choice.between
+            if (one in names_a and two in names_b) or (two in names_a and one in names_b):
+                return choice
+        return None
+
 
 @dataclass(frozen=True, kw_only=True)
 class RunControl:
@@ -153,12 +161,7 @@ class Scene:
 
     def choice_for(self, a: Particle, b: Particle | Wall) -> PairChoice | None:
         """Return the first exception of the case that names both bodies (or their materials), or None."""
-        names_a, names_b = _names(a), _names(b)
-        for choice in self.contact.pairs:
-            one, two = choice.between
-            if (one in names_a and two in names_b) or (two in names_a and one in names_b):
-                return choice
-        return None
+        return self.contact.exception(_names(a), _names(b))
 
 
 def _names(body: Particle | Wall) -> tuple[str, str]:

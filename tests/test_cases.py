@@ -28,7 +28,7 @@ PROMISED = {
     "sliding_particle": {"walls", "gravity", "tangential", "rotation"},
     "oblique_impact": {"walls", "tangential", "rotation"},
 }
-every_case = pytest.mark.parametrize("name", shipped_cases())
+every_case = pytest.mark.parametrize("name", shipped_cases(beds=False))
 
 
 def expected(name: str) -> dict[str, Any]:

@@ -43,7 +43,7 @@ def test_a_ball_deep_in_the_wall_is_told_so():
         plan(deep)
 
 
-@pytest.mark.parametrize("case", shipped_cases())
+@pytest.mark.parametrize("case", shipped_cases(beds=False))
 def test_plan_of_every_case(case):
     scene = load_case(case)
     models = plan(scene)

@@ -1,0 +1,1 @@
+"""Fluidised beds: what is simulated, its numbers, what is observed in it."""

@@ -1,0 +1,35 @@
+"""A bed with numbers, for one model ("linear" or "hertz"): what both solvers need."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from kncal.bed.scene import BedScene
+from kncal.model import PairContact
+
+
+@dataclass(frozen=True, kw_only=True)
+class BedModel:
+    """One model of a bed.
+
+    Attributes
+    ----------
+    scene : BedScene
+    kind : "linear" or "hertz"
+    contacts : ("particles", "particles") and ("particles", "walls") -> PairContact (see `kncal.model`)
+    dt : DEM step [s]
+    steps_per_coupling : DEM steps per coupling interval
+    coupling : coupling interval = gas step [s], exactly ``steps_per_coupling * dt``
+    couplings : number of couplings in the run
+    frames_every : couplings between recorded frames
+    """
+
+    scene: BedScene
+    kind: str
+    contacts: Mapping[tuple[str, str], PairContact]
+    dt: float
+    steps_per_coupling: int
+    coupling: float
+    couplings: int
+    frames_every: int

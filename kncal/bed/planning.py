@@ -1,0 +1,104 @@
+"""From a bed to models that can run: contacts in numbers, DEM step, coupling interval (scenes: `kncal.planning`)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+from kncal.bed.model import BedModel
+from kncal.bed.needs import decide
+from kncal.bed.scene import BedScene
+from kncal.errors import CaseFileError
+from kncal.material import Pair, pair, sphere_mass, wall_pair
+from kncal.model import KINDS, PairContact
+from kncal.needs import Needs
+from kncal.pair_contact import Rest, numbers_of, pair_contact, smooth
+from kncal.planning import MOST_STEPS
+
+#: The two kinds of bodies in a bed; also the names in `BedModel.contacts` and in the exceptions of a case.
+PARTICLES, WALLS = "particles", "walls"
+
+
+def bed_pairs(scene: BedScene) -> dict[tuple[str, str], Pair]:
+    """Return the `Pair` of two particles, and of a particle and a wall, by their names."""
+    particles = scene.particles
+    radius = particles.diameter / 2.0
+    return {
+        (PARTICLES, PARTICLES): pair(particles.material, radius),
+        (PARTICLES, WALLS): wall_pair(particles.material, radius, scene.column.wall_material),
+    }
+
+
+def plan_bed(scene: BedScene, kinds: Iterable[str] = KINDS) -> dict[str, BedModel]:
+    """Return the models of a bed by kind.
+
+    The DEM step is the shortest contact duration over ``steps_per_contact`` (of each model by itself), but no longer
+    than the coupling interval; the coupling interval is the largest whole number of DEM steps in ``run.coupling``.
+    A bed that LIGGGHTS has nothing to do for (gas only, or frozen particles whose positions are known) has no
+    contacts, and one DEM step per coupling.
+
+    Raises
+    ------
+    CaseFileError
+        If a contact lacks its impact speed and stiffness, or the run would need more than `MOST_STEPS` steps.
+    """
+    needs = decide(scene)
+    return {kind: _model(scene, kind, needs) for kind in kinds}
+
+
+def _model(scene: BedScene, kind: str, needs: Needs) -> BedModel:
+    contacts = _contacts(scene, kind, needs) if needs.uses("liggghts") else {}
+    wish = scene.run.coupling
+    shortest = min((c.t_c for c in contacts.values()), default=math.inf)
+    dt = min(shortest / scene.run.steps_per_contact, wish)
+    # 1e-9: a wish that is a whole number of steps but for rounding is that number
+    per_coupling = max(math.floor(wish / dt * (1.0 + 1e-9)), 1)
+    coupling = per_coupling * dt
+    couplings = math.ceil(scene.run.end_time / coupling * (1.0 - 1e-9))
+    if (steps := couplings * per_coupling) > MOST_STEPS:
+        raise CaseFileError(
+            f"{scene.name}: the {kind} model needs {steps:.3g} steps of {dt:.3g} s: expected at most "
+            f"{MOST_STEPS:.3g}; shorten run.end_time, or take a softer material (beds are customarily run with a "
+            "Young's modulus far below the real one) or a smaller run.steps_per_contact"
+        )
+    return BedModel(
+        scene=scene,
+        kind=kind,
+        contacts=contacts,
+        dt=dt,
+        steps_per_coupling=per_coupling,
+        coupling=coupling,
+        couplings=couplings,
+        frames_every=max(round(scene.run.frames_every / coupling), 1),
+    )
+
+
+def _contacts(scene: BedScene, kind: str, needs: Needs) -> dict[tuple[str, str], PairContact]:
+    column, particles = scene.column, scene.particles
+    materials = {
+        PARTICLES: (PARTICLES, particles.material.name),
+        WALLS: (WALLS, "rigid" if column.wall_material is None else column.wall_material.name),
+    }
+    # Prescribed k_n and no impact speed: the Hertz contact is judged at the bottom of the settled bed, where a
+    # particle carries the weight of the bed above its own cross-section (d²).
+    weight = float(sphere_mass(particles.material, particles.diameter / 2.0)) * scene.gravity
+    share = particles.count * particles.diameter**2 / (column.width * column.depth)
+    contacts = {}
+    for (a, b), both in bed_pairs(scene).items():
+        numbers = numbers_of(scene.contact, scene.contact.exception(materials[a], materials[b]))
+        if numbers.v_0 is None and numbers.k_n is None:
+            raise CaseFileError(
+                f"{scene.name}: contact of {a} and {b}: a bed has no first impact to calibrate at: expected "
+                "contact.v_0 [m/s], typical of this bed, or contact.k_n [N/m]"
+            )
+        contact = pair_contact(
+            scene.contact,
+            both,
+            numbers,
+            kind,
+            Rest(0.0, weight * max(share, 1.0)),
+            scene=scene.name,
+            names=f"{a} and {b}",
+        )
+        contacts[a, b] = smooth(contact, tangential=needs.uses("tangential"), rolling=needs.uses("rolling"))
+    return contacts

@@ -1,0 +1,170 @@
+"""The text of a case file: where it is, read with care, its TOML parsed; and TOML written back.
+
+Shared by the two kinds of case, `kncal.case_file` (single contacts) and `kncal.bed.case_file` (beds).
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import MISSING, fields
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from kncal.errors import CaseFileError, InputError
+from kncal.material import Material
+from kncal.resources import folder
+from kncal.scene import ContactChoice
+
+CASE = "case.toml"
+#: A case file larger than this is not read; 500 particles take about 100 kB.
+MOST_BYTES = 256 * 1024
+
+
+class CaseText(NamedTuple):
+    """A case file that was read: its text, the name of the case, and what to call the file in messages."""
+
+    text: str
+    name: str
+    where: str
+
+
+def shipped_cases(*, beds: bool | None = None) -> tuple[str, ...]:
+    """Return the names of the cases that come with kncal, sorted; only the beds, or all others, if asked for."""
+    paths = sorted(folder("cases").glob(f"*/{CASE}"))
+    if beds is None:
+        return tuple(path.parent.name for path in paths)
+    return tuple(p.parent.name for p in paths if is_bed(parse_toml(p.read_text("utf-8"), str(p))) is beds)
+
+
+def is_bed(tables: Mapping[str, Any]) -> bool:
+    """Return whether the tables of a case file describe a bed (they have a column), not single contacts."""
+    return "column" in tables
+
+
+def find_case(case: str | Path) -> Path:
+    """Return the file that ``case`` means: a file, a folder holding a case.toml, or a shipped case's name.
+
+    What is there on disk comes before a shipped name. Raises `CaseFileError` if nothing fits.
+    """
+    given = Path(case)
+    try:
+        if given.is_file():
+            return given
+        if (given / CASE).is_file():
+            return given / CASE
+    except (OSError, ValueError) as error:
+        raise CaseFileError(f"{str(case)!r}: cannot be looked up: {error}") from error
+    shipped = shipped_cases()
+    if str(case) in shipped:
+        return folder("cases") / str(case) / CASE
+    import difflib
+
+    near = difflib.get_close_matches(str(case), shipped, n=1)
+    hint = f"; did you mean {near[0]!r}?" if near else ""
+    raise CaseFileError(
+        f"{str(case)!r}: no such case: expected a {CASE}, a folder with one, or one of {', '.join(shipped)}{hint}"
+    )
+
+
+def read_case(case: str | Path, name: str | None = None) -> CaseText:
+    """Return the text of a case file; ``name`` of the case, or else its folder's (for another file name: its stem).
+
+    Raises
+    ------
+    CaseFileError
+        If there is no such case, or the file is too large or not UTF-8 text.
+    """
+    path = find_case(case)
+    try:
+        with path.open("rb") as handle:
+            data = handle.read(MOST_BYTES + 1)
+    except OSError as error:
+        raise CaseFileError(f"{path}: cannot be read: {error}") from error
+    if len(data) > MOST_BYTES:
+        raise CaseFileError(f"{path}: larger than {MOST_BYTES} bytes: expected a case file of a few kilobytes")
+    try:
+        text = data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise CaseFileError(f"{path}, line {line}: not UTF-8 text ({error.reason}): expected a TOML file") from error
+    if name is None:
+        name = path.resolve().parent.name if path.name == CASE else path.stem
+    return CaseText(text, name, str(path))
+
+
+def parse_toml(text: str, where: str) -> dict[str, Any]:
+    """Return the tables of a TOML text; `CaseFileError` with file and line where it is none."""
+    from kncal.case_messages import short
+
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        found = re.search(r"at line (\d+)", str(error))
+        lines = text.splitlines()
+        number = int(found[1]) if found else len(lines)
+        shown = f": {short(lines[number - 1].strip())}" if 0 < number <= len(lines) else ""
+        hint = "expected TOML: text in double quotes, numbers without units, each key once"
+        raise CaseFileError(f"{where}, line {number}{shown}: {error}; {hint}") from error
+    except (ValueError, RecursionError) as error:
+        raise CaseFileError(f"{where}: {error}: expected TOML with plain numbers and short lists") from error
+
+
+def settings(thing: Any, skip: Iterable[str] = ()) -> dict[str, Any]:
+    """Return the fields of a dataclass that are not None and differ from their defaults."""
+    values = {f.name: (getattr(thing, f.name), f.default) for f in fields(thing) if f.name not in set(skip)}
+    return {
+        name: value
+        for name, (value, default) in values.items()
+        if value is not None and (default is MISSING or value != default)
+    }
+
+
+def table(header: str, values: Mapping[str, Any]) -> str:
+    """Return a TOML table: its header and a line per value."""
+    return f"{header}\n{entries(values)}"
+
+
+def entries(values: Mapping[str, Any]) -> str:
+    """Return ``key = value`` lines."""
+    return "".join(f"{toml_key(key)} = {toml_value(value)}\n" for key, value in values.items())
+
+
+def toml_key(key: str) -> str:
+    """Return a key as TOML writes it, quoted where it must be."""
+    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else toml_value(key)
+
+
+def toml_value(value: Any) -> str:
+    """Return a value as TOML writes it; numbers so that they read back to the same bits."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, (tuple, list)):
+        return f"[{', '.join(map(toml_value, value))}]"
+    return repr(value) if isinstance(value, int) else repr(float(value))
+
+
+def contact_tables(contact: ContactChoice) -> list[str]:
+    """Return the tables that describe a `ContactChoice`: ``[contact]``, its options and exceptions."""
+    first = {"law": contact.law, "e_n": contact.e_n, "end": contact.end}
+    if contact.k_n is None:
+        first["method"] = contact.method
+    parts = [table("[contact]", first | settings(contact, skip={"method_options", "pairs"} | {*first}))]
+    if contact.method_options:
+        parts.append(table("[contact.options]", contact.method_options))
+    return parts + [table("[[contact.pairs]]", settings(choice)) for choice in contact.pairs]
+
+
+def material_tables(materials: Iterable[Material | None], scene: str) -> list[str]:
+    """Return a table per material; `InputError` if two different ones of ``scene`` share a name."""
+    found: dict[str, Material] = {}
+    for material in materials:
+        if material is not None and found.setdefault(material.name, material) != material:
+            raise InputError(
+                f"scene {scene!r}: two different materials are called {material.name!r}: expected a name for each"
+            )
+    return [table(f"[materials.{toml_key(m.name)}]", settings(m, skip={"name"})) for m in found.values()]

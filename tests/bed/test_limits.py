@@ -1,0 +1,232 @@
+"""What a bed can't do is found before the run: each limit fires on its side of its bound, and nowhere else."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kncal.bed.case_file import load_bed
+from kncal.bed.limits import (
+    EPS_SETTLED,
+    Finding,
+    check_bed,
+    largest_superficial,
+    require_possible,
+    settled_height,
+    settled_voidage,
+)
+from kncal.bed.planning import plan_bed
+from kncal.bed.scene import BedScene, Jet
+from kncal.case_file import shipped_cases
+from kncal.errors import CaseFileError
+from kncal.fluidization import minimum_fluidization_velocity, terminal_velocity
+
+MINI = load_bed("bubbling_bed_mini")
+JET = load_bed("bubbling_bed")
+ONE = load_bed("terminal_velocity_intermediate")
+
+
+def found(bed: BedScene, positions=None) -> dict[str, str]:
+    """Code -> level of every finding for the linear model."""
+    return {f.code: f.level for f in check_bed(plan_bed(bed, ["linear"])["linear"], positions)}
+
+
+def message(bed: BedScene, code: str) -> str:
+    return next(f.message for f in check_bed(plan_bed(bed, ["linear"])["linear"]) if f.code == code)
+
+
+def change(bed: BedScene, part: str, **values) -> BedScene:
+    return replace(bed, **{part: replace(getattr(bed, part), **values)})
+
+
+@pytest.mark.parametrize("name", shipped_cases(beds=True))
+def test_shipped_beds_are_possible(name):
+    """Nothing is refused; the jet bed's Courant number just above 1 is known and said in its README."""
+    for model in plan_bed(load_bed(name)).values():
+        findings = check_bed(model)
+        assert {(f.code, f.level) for f in findings} <= ({("courant", "warn")} if name == "bubbling_bed" else set())
+        require_possible(findings)
+
+
+def test_refusals_come_first_and_are_raised_together():
+    bad = change(change(MINI, "column", cells=(40, 2, 30)), "run", coupling=9e-3)
+    findings = check_bed(plan_bed(bad)["linear"])
+    levels = [f.level for f in findings]
+    assert levels == sorted(levels, key=["refuse", "warn"].index)
+    refused = [f for f in findings if f.level == "refuse"]
+    assert len(refused) >= 2
+    with pytest.raises(CaseFileError) as caught:
+        require_possible(findings)
+    assert str(caught.value).splitlines() == [f.message for f in refused]
+    require_possible([f for f in findings if f.level == "warn"])
+    assert str(Finding("x", "warn", "text")) == "warn: text"
+
+
+@pytest.mark.parametrize(
+    ("cells", "level"),
+    [
+        ((10, 2, 30), None),
+        ((11, 2, 30), "warn"),
+        ((25, 5, 75), "warn"),
+        ((26, 5, 75), "refuse"),
+        ((10, 6, 30), "refuse"),
+    ],
+)
+def test_gas_cells_against_the_particle(cells, level):
+    """Edges of 2.5, 2.27, 1.0, 0.96 and 0.83 diameters."""
+    assert found(change(MINI, "column", cells=cells)).get("cell-size") == level
+
+
+def test_satellite_parcels_allow_finer_cells_down_to_a_particle():
+    fine = change(change(MINI, "column", cells=(20, 4, 60)), "gas", parcels_per_particle=8)
+    assert "cell-size" not in found(fine)
+    assert found(change(fine, "column", cells=(40, 4, 60)))["cell-size"] == "refuse"
+
+
+def test_the_depth_of_a_layer_is_no_cell_size():
+    assert "cell-size" not in found(JET)
+    assert found(change(JET, "column", cells=(15, 1, 300)))["cell-size"] == "refuse"
+
+
+def test_courant_number_of_the_jet_is_that_of_a_run():
+    """Measured in runs of this bed: about 1.06 at the largest, at 4.947e-4 s."""
+    assert "about 1.04" in message(JET, "courant")
+    slow = change(JET, "gas", jet=Jet(x_low=0.07, x_high=0.08, velocity=40.0))
+    assert "courant" not in found(slow)
+    assert found(change(JET, "run", coupling=9.9e-4))["courant"] == "refuse"
+    # half the speed on half the cell size is the same
+    half = change(change(JET, "gas", jet=Jet(x_low=0.07, x_high=0.08, velocity=21.0)), "column", cells=(15, 1, 90))
+    assert message(half, "courant").partition("from")[0] == message(JET, "courant").partition("from")[0]
+
+
+def test_the_interval_that_a_message_names_would_do():
+    jet = message(JET, "courant")
+    named = float(jet.rpartition("run.coupling = ")[2].split()[0])
+    assert "courant" not in found(change(JET, "run", coupling=0.99 * named))
+
+
+def test_interval_against_the_relaxation_time():
+    """A single sphere, where the relaxation time is terminal velocity over g less buoyancy."""
+    p, gas = ONE.particles, ONE.gas
+    assert gas is not None
+    fall = terminal_velocity(p.diameter, p.material.density, gas.density, gas.viscosity)
+    tau = fall / (9.81 * (1.0 - gas.density / p.material.density))
+    for share, level in ((0.0098, None), (0.0102, "warn"), (0.196, "warn"), (0.204, "refuse")):
+        bed = change(ONE, "run", coupling=share * tau, end_time=2.0, steps_per_contact=200.0)
+        assert found(bed).get("relaxation") == level, share
+    assert "about 1 % too small" in message(change(ONE, "run", coupling=0.0102 * tau), "relaxation")
+    assert "relaxation" not in found(change(change(ONE, "run", coupling=0.1 * tau), "particles", frozen=True))
+
+
+def test_way_of_a_particle_per_interval():
+    # contact.v_0 of 1.2 m/s: half a diameter of 1.2 mm takes 0.5 ms
+    fast = replace(MINI, contact=replace(MINI.contact, v_0=1.2, k_n=None))
+    assert "particle-way" not in found(change(fast, "run", coupling=4.9e-4))
+    assert found(change(fast, "run", coupling=5.4e-4))["particle-way"] == "warn"
+    assert found(change(fast, "run", coupling=1.1e-3))["particle-way"] == "refuse"
+
+
+def test_steps_per_contact():
+    assert "dem-step" not in found(change(MINI, "run", steps_per_contact=20.0))
+    few = change(MINI, "run", steps_per_contact=12.0)
+    assert found(few)["dem-step"] == "warn"
+    assert "e_n is up to" in message(few, "dem-step")
+    # 12 contacts per particle: omega dt < 2/sqrt(12), so t_c/dt > pi sqrt(12)/2 = 5.4
+    assert found(change(MINI, "run", steps_per_contact=5.0))["dem-step"] == "refuse"
+    assert found(change(MINI, "run", steps_per_contact=6.5))["dem-step"] == "warn"
+
+
+def test_gas_below_u_mf_is_flagged():
+    gas = MINI.gas
+    assert gas is not None
+    U_mf = minimum_fluidization_velocity(1.2e-3, 1000.0, gas.density, gas.viscosity, EPS_SETTLED)
+    assert found(change(MINI, "gas", U_0=0.99 * U_mf))["below-u-mf"] == "warn"
+    assert "below-u-mf" not in found(change(MINI, "gas", U_0=1.01 * U_mf))
+    assert "below-u-mf" not in found(change(change(MINI, "gas", U_0=0.1), "particles", frozen=True))
+    assert "below-u-mf" not in found(change(MINI, "gas", U_0=0.0, ramp=((0.0, 0.1), (1.0, 1.1 * U_mf))))
+    thin = change(JET, "gas", jet=Jet(x_low=0.07, x_high=0.08, velocity=20.0))  # 1.33 m/s over the width
+    assert found(thin)["below-u-mf"] == "warn"
+
+
+def test_gas_that_carries_the_bed_away_is_flagged():
+    assert found(change(MINI, "gas", U_0=5.0))["carried-out"] == "warn"
+    assert "carried-out" not in found(change(MINI, "gas", U_0=2.0))
+
+
+def test_room_for_the_bed():
+    H = settled_height(MINI)
+    low = tuple((n if i < 2 else 8) for i, n in enumerate(MINI.column.cells))
+    assert found(change(MINI, "column", height=0.99 * H, cells=low))["column-low"] == "refuse"
+    assert found(change(MINI, "column", height=1.5 * H, cells=low))["column-low"] == "warn"
+    assert "column-low" not in found(MINI)
+
+
+def test_jet_on_cell_faces():
+    off = change(JET, "gas", jet=Jet(x_low=0.07, x_high=0.0775, velocity=42.0))
+    assert found(off)["jet-faces"] == "refuse"
+    assert "nearest is 0.08" in message(off, "jet-faces")
+    assert "jet-faces" not in found(change(off, "column", cells=(60, 1, 45)))
+
+
+def test_depth():
+    assert (
+        found(change(MINI, "column", front_back="periodic", depth=0.003, cells=(10, 1, 30)))["depth-periodic"]
+        == "refuse"
+    )
+    assert "depth-periodic" not in found(change(MINI, "column", front_back="periodic"))
+    assert found(change(JET, "column", front_back="walls"))["depth-one-layer"] == "warn"
+
+
+def test_gas_or_particles_alone():
+    assert found(replace(MINI, gas=None)) == {}
+    assert found(change(MINI, "particles", count=0)) == {}
+
+
+# --- positions ------------------------------------------------------------------------------------------------
+
+
+def lattice(bed: BedScene, pitch: float) -> np.ndarray:
+    """A simple cubic lattice from wall to wall, layer by layer."""
+    d = bed.particles.diameter
+    nx, ny = round(bed.column.width / (pitch * d)), round(bed.column.depth / (pitch * d))
+    n = math.ceil(bed.particles.count / (nx * ny))
+    x = (np.arange(nx) + 0.5) * bed.column.width / nx
+    y = (np.arange(ny) + 0.5) * bed.column.depth / ny
+    z = (np.arange(n) + 0.5) * pitch * d
+    return np.array([(a, b, c) for c in z for a in x for b in y])[: bed.particles.count]
+
+
+@pytest.mark.parametrize("pitch", [1.0, 1.25])
+def test_measured_voidage_is_that_of_the_lattice(pitch):
+    x = lattice(MINI, pitch)
+    exact = 1.0 - math.pi / 6.0 / pitch**3
+    assert settled_voidage(MINI, x) == pytest.approx(exact, abs=0.02)
+    assert settled_voidage(ONE, np.zeros((1, 3))) == EPS_SETTLED
+
+
+def test_measured_voidage_decides_what_fluidises():
+    gas = MINI.gas
+    assert gas is not None
+    U_0 = 1.1 * minimum_fluidization_velocity(1.2e-3, 1000.0, gas.density, gas.viscosity, EPS_SETTLED)
+    bed = change(MINI, "gas", U_0=U_0)
+    assert "below-u-mf" not in found(bed)
+    assert found(bed, lattice(bed, 1.0))["below-u-mf"] == "warn"  # a void fraction of 0.476 lets more gas through
+
+
+def test_positions_that_are_none():
+    x = lattice(MINI, 1.0)
+    assert found(MINI, x[:-1])["positions"] == "refuse"
+    x[5, 2] = -1e-3
+    assert found(MINI, x)["outside"] == "refuse"
+    x[5, 2] = np.nan
+    assert found(MINI, x)["positions"] == "refuse"
+    assert found(MINI, 0.01)["positions"] == "refuse"
+
+
+def test_superficial_velocity_and_height():
+    assert largest_superficial(JET) == pytest.approx(2.8)
+    assert largest_superficial(replace(MINI, gas=None)) == 0.0
+    assert largest_superficial(load_bed("packed_bed")) == 0.6
+    # a void fraction of 0 is the solid volume over the area
+    assert settled_height(JET, 0.0) * 0.15 * 0.004 == pytest.approx(2400 * math.pi / 6.0 * 0.004**3)
