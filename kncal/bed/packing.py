@@ -1,0 +1,181 @@
+"""Where the particles of a bed are at the start: a loose lattice, let down by LIGGGHTS, or given."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import tempfile
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from kncal.bed.model import BedModel
+from kncal.bed.scene import BedScene
+from kncal.checks import Array, one_of
+from kncal.errors import InputError, ReadError, RunError
+
+PACKINGS = ("settled", "lattice", "given")
+#: Lattice spacing and the largest random offset on each axis, in diameters: 1.12 - 2 x 0.04 > 1, so none overlap.
+SPACING, OFFSET = 1.12, 0.04
+#: Settled: mean kinetic energy of a particle below this share of m g d, ...
+RESTING = 1e-5
+#: ... within so many times the fall from the lattice's height, sqrt(2 h/g).
+PATIENCE = 40.0
+
+
+def lattice(scene: BedScene) -> Array:
+    """Return centres (n, 3) [m] on a loose cubic lattice with small random offsets, filled from the floor up.
+
+    No two particles touch, nor a wall. In a layer all are exactly in the middle plane.
+
+    Raises
+    ------
+    InputError
+        If the column is too small for them.
+    """
+    column, particles = scene.column, scene.particles
+    d, n = particles.diameter, particles.count
+    layer = column.front_back == "layer"
+    x = _sites(column.width, d)
+    periodic = column.front_back == "periodic"
+    y = np.array([0.5 * column.depth]) if layer else _sites(column.depth, d, periodic=periodic)
+    z = _sites(column.height, d)
+    room = len(x) * len(y) * len(z)
+    if room < n:
+        raise InputError(
+            f"{scene.name}: a loose lattice of the column {column.width:g} x {column.depth:g} x {column.height:g} m "
+            f"has {room} places, the bed {n} particles: expected a larger column (height) or fewer particles"
+        )
+    grid = np.stack(np.meshgrid(z, y, x, indexing="ij"), axis=-1).reshape(-1, 3)[:n, ::-1]
+    offset = np.random.default_rng(particles.seed).uniform(-OFFSET * d, OFFSET * d, (n, 3))
+    if layer:
+        offset[:, 1] = 0.0
+    return np.ascontiguousarray(grid + offset)
+
+
+def _sites(length: float, d: float, *, periodic: bool = False) -> Array:
+    """Return lattice sites along one side, with the offset's room at both ends."""
+    if periodic:
+        number = math.floor(length / (SPACING * d))
+        first, spacing = 0.5 * length / max(number, 1), length / max(number, 1)
+    else:
+        free = length - (1.0 + 2.0 * OFFSET) * d
+        number = math.floor(free / (SPACING * d)) + 1 if free >= 0.0 else 0
+        first, spacing = (0.5 + OFFSET) * d, SPACING * d
+    return first + spacing * np.arange(number, dtype=np.float64)
+
+
+def packing(model: BedModel, cache_dir: Path | None = None) -> Array:
+    """Return where the particles of ``model.scene`` start, centres (n, 3) [m], row i for the particle with id i + 1.
+
+    "settled": the lattice falls under gravity in LIGGGHTS, with the linear contact of ``model``, until the mean kinetic
+    energy of a particle is below `RESTING` m g d, twice in a row.
+
+    Parameters
+    ----------
+    model : BedModel
+        The linear one, so that the linear and the Hertz run start alike.
+    cache_dir : Path, optional
+        Settled packings are kept there under a hash of all that they depend on, and taken from there.
+
+    Raises
+    ------
+    InputError
+        If the column is too small, there is no gravity to settle under, or the model is not the linear one.
+    ReadError
+        If the cached file is damaged.
+    RunError
+        If LIGGGHTS fails, or the particles do not come to rest.
+    """
+    scene = model.scene
+    kind = one_of("packing", scene.particles.packing, PACKINGS)
+    if kind == "given":
+        return _given(scene)
+    start = lattice(scene)
+    if kind == "lattice":
+        return start
+    if model.kind != "linear":
+        raise InputError(f"{scene.name}: packing of the {model.kind!r} model, expected the linear one")
+    if scene.gravity <= 0.0:
+        raise InputError(f"{scene.name}: packing 'settled' without gravity: expected gravity > 0, or packing 'lattice'")
+    if cache_dir is None:
+        return _settle(model, start)
+    cache_dir.mkdir(parents=True, exist_ok=True)
+    path = cache_dir / f"{_key(model, start)}.npz"
+    if path.is_file():
+        return _load(path, scene.particles.count)
+    settled = _settle(model, start)
+    _store(path, settled)
+    return settled
+
+
+def _given(scene: BedScene) -> Array:
+    particles = scene.particles
+    positions = np.array(particles.positions, dtype=np.float64)
+    if positions.shape != (particles.count, 3) or not np.isfinite(positions).all():
+        raise InputError(
+            f"{scene.name}: positions of shape {positions.shape}: expected ({particles.count}, 3) finite numbers, "
+            "x, y, z for each particle"
+        )
+    return positions
+
+
+def _settle(model: BedModel, start: Array) -> Array:
+    from kncal.coupling.dem import LiggghtsDem
+
+    scene = model.scene
+    d, g = scene.particles.diameter, scene.gravity
+    chunk = max(1, round(math.sqrt(d / g) / model.dt))
+    fall = math.sqrt(2.0 * float(start[:, 2].max()) / g)
+    looks = math.ceil(PATIENCE * fall / (chunk * model.dt))
+    nothing = np.zeros_like(start)
+    quiet, share = 0, math.inf
+    with tempfile.TemporaryDirectory(prefix="kncal-packing-") as folder, LiggghtsDem(model, Path(folder), start) as dem:
+        for _ in range(looks):
+            dem.run(chunk, nothing)
+            x, v = dem.state()
+            share = float(0.5 * np.mean(np.sum(v * v, axis=1)) / (g * d))
+            quiet = quiet + 1 if share < RESTING else 0
+            if quiet == 2:
+                return x
+    raise RunError(
+        f"{scene.name}: the particles did not settle in {looks * chunk * model.dt:.3g} s: mean kinetic energy "
+        f"{share:.2g} m g d, expected below {RESTING:g}; take e_n below 1, a smaller time step, or packing 'lattice'"
+    )
+
+
+def _key(model: BedModel, start: Array) -> str:
+    """Return a hash of all that a settled packing depends on."""
+    from kncal.coupling.dem_deck import data_text, deck_text
+
+    inputs = [deck_text(model), data_text(model.scene, start), RESTING, PATIENCE]
+    return hashlib.sha256(json.dumps(inputs).encode()).hexdigest()
+
+
+def _store(path: Path, positions: Array) -> None:
+    """Write beside ``path`` and move into place: others find no file, or a whole one."""
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=".packing.", suffix=".part")
+    temporary = Path(name)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            np.savez(file, positions=positions)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def _load(path: Path, count: int) -> Array:
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as saved:
+            positions = np.asarray(saved["positions"], dtype=np.float64)
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise ReadError(f"{path}: damaged ({error}); delete it, it will be made again") from error
+    if positions.shape != (count, 3) or not np.isfinite(positions).all():
+        raise ReadError(f"{path}: shape {positions.shape}, expected ({count}, 3) finite numbers; delete it")
+    return positions

@@ -1,0 +1,320 @@
+"""The process that holds LIGGGHTS: any error of the library ends the process that loaded it, so it is never ours.
+
+Started by `kncal.coupling.dem`: ``python -m kncal.coupling.dem_child '{"socket": 5, ...}'`` in the folder of the deck.
+It runs the deck, then answers one JSON message with one JSON message; arrays go through a shared mapping, by id.
+What LIGGGHTS prints is this process' standard output, which is a log file.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import itertools
+import json
+import mmap
+import os
+import resource
+import socket
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kncal.checks import Array
+
+LIBRARY = "libliggghts.so.3"
+#: Longest message [bytes].
+MAX_MESSAGE = 1 << 16
+#: Overlaps are looked at about every so many steps, at least once in an interval and at its end. One look costs as much
+#: as 1.5 steps, so this is 4 % of the run.
+LOOK_EVERY = 40
+#: Overlap bins per decade, and the smallest overlap that is told apart from nothing, in diameters.
+BINS_PER_DECADE, DECADES = 20, 8
+#: Output of the runs beyond so many bytes is dropped; that of the deck is kept.
+MAX_LOG = 1 << 16
+
+SAVED_FORCES = "forces.npz"
+
+
+def histogram_edges(diameter: float) -> Array:
+    """Return the edges of the overlap bins [m]: 0, then 20 a decade from 1e-8 to 1 diameter."""
+    decades = np.arange(DECADES * BINS_PER_DECADE + 1) / BINS_PER_DECADE - DECADES
+    return np.concatenate(([0.0], diameter * 10.0**decades))
+
+
+@dataclass(frozen=True)
+class Shared:
+    """The mapping that parent and child share: positions, velocities, gas forces (n, 3) by id, overlap histogram."""
+
+    x: Array
+    v: Array
+    force: Array
+    histogram: Array
+
+    @staticmethod
+    def size(count: int) -> int:
+        """Return the bytes that ``count`` particles need."""
+        return 8 * (9 * count + DECADES * BINS_PER_DECADE + 1)
+
+    @classmethod
+    def over(cls, buffer: mmap.mmap, count: int) -> Shared:
+        """Return views of ``buffer``, which keep it open."""
+        numbers = np.frombuffer(buffer, dtype=np.float64)
+        x, v, force = (numbers[3 * count * i : 3 * count * (i + 1)].reshape(count, 3) for i in range(3))
+        return cls(x=x, v=v, force=force, histogram=numbers[9 * count :])
+
+
+class Library:
+    """LIGGGHTS through its C interface. Rows move and pointers change in every run: fetch them anew after each."""
+
+    def __init__(self) -> None:
+        self._lib = ctypes.CDLL(LIBRARY, mode=ctypes.RTLD_GLOBAL)
+        text, pointer, number = ctypes.c_char_p, ctypes.c_void_p, ctypes.c_int
+        for name, result, arguments in (
+            ("lammps_open_no_mpi", None, [number, ctypes.POINTER(text), ctypes.POINTER(pointer)]),
+            ("lammps_close", None, [pointer]),
+            ("lammps_file", None, [pointer, text]),
+            ("lammps_command", text, [pointer, text]),
+            ("lammps_extract_atom", pointer, [pointer, text]),
+            ("lammps_extract_global", pointer, [pointer, text]),
+            ("lammps_extract_fix", pointer, [pointer, text] + [number] * 4),
+            ("lammps_extract_compute", pointer, [pointer, text, number, number]),
+        ):
+            function = getattr(self._lib, name)
+            function.restype, function.argtypes = result, arguments
+        self._libc = ctypes.CDLL(None)
+        self._libc.free.argtypes = [pointer]
+        # By lines: what a buffer still holds is lost when the library ends the process.
+        stdout = pointer.in_dll(self._libc, "stdout")
+        self._libc.setvbuf(stdout, None, 1, 0)  # 1: _IOLBF
+        words = [b"liggghts", b"-log", b"none"]
+        self._handle = pointer()
+        self._lib.lammps_open_no_mpi(len(words), (text * len(words))(*words), ctypes.byref(self._handle))
+
+    def file(self, name: str) -> None:
+        """Run the commands of a file."""
+        self._lib.lammps_file(self._handle, name.encode())
+
+    def command(self, line: str) -> None:
+        """Run one command."""
+        self._lib.lammps_command(self._handle, line.encode())
+
+    def close(self) -> None:
+        """End LIGGGHTS."""
+        self._lib.lammps_close(self._handle)
+
+    @property
+    def count(self) -> int:
+        """Number of particles that are left."""
+        return int(ctypes.cast(self._global("nlocal"), ctypes.POINTER(ctypes.c_int))[0])
+
+    @property
+    def step(self) -> int:
+        """Steps so far."""
+        return int(ctypes.cast(self._global("ntimestep"), ctypes.POINTER(ctypes.c_int64))[0])
+
+    @property
+    def rows(self) -> NDArray[np.intp]:
+        """Row of the callers' arrays (id - 1) for each row of LIGGGHTS."""
+        address = ctypes.cast(self._lib.lammps_extract_atom(self._handle, b"id"), ctypes.POINTER(ctypes.c_int))
+        return np.ctypeslib.as_array(address, (self.count,)).astype(np.intp) - 1
+
+    @property
+    def masses(self) -> Array:
+        """Masses by row [kg]."""
+        address = ctypes.cast(self._lib.lammps_extract_atom(self._handle, b"rmass"), ctypes.POINTER(ctypes.c_double))
+        return np.ctypeslib.as_array(address, (self.count,))
+
+    def vectors(self, name: str) -> Array:
+        """Return a writable view of a per-particle vector: x, v, omega, f, torque; or dragforce."""
+        if name == "dragforce":
+            address = self._lib.lammps_extract_fix(self._handle, b"dragforce", 1, 2, 0, 0)
+        else:
+            address = self._lib.lammps_extract_atom(self._handle, name.encode())
+        return self._table(address, self.count, 3)
+
+    def scalar(self, compute: str) -> float:
+        """Return the value of a compute, now."""
+        address = self._lib.lammps_extract_compute(self._handle, compute.encode(), 0, 0)
+        return float(ctypes.cast(address, ctypes.POINTER(ctypes.c_double))[0])
+
+    def mean(self, fix: str) -> float:
+        """Return the value of a ``fix ave/time`` with one column."""
+        address = self._lib.lammps_extract_fix(self._handle, fix.encode(), 0, 0, 0, 0)
+        value = float(ctypes.cast(address, ctypes.POINTER(ctypes.c_double))[0])
+        self._libc.free(address)
+        return value
+
+    def overlaps(self) -> Array:
+        """Return the overlap of every particle-particle contact now [m]."""
+        total, mean = self.scalar("overlap_sum"), self.scalar("overlap_mean")
+        if mean == 0.0:
+            return np.empty(0)
+        # The library does not tell the number of rows of a local compute; sum over mean is it.
+        address = self._lib.lammps_extract_compute(self._handle, b"contacts", 2, 2)
+        return self._table(address, round(total / mean), 4)[:, 3]
+
+    def _global(self, name: str) -> int:
+        return int(self._lib.lammps_extract_global(self._handle, name.encode()))
+
+    @staticmethod
+    def _table(address: int, rows: int, columns: int) -> Array:
+        if rows == 0:
+            return np.empty((0, columns))
+        start = ctypes.cast(address, ctypes.POINTER(ctypes.POINTER(ctypes.c_double)))[0]
+        return np.ctypeslib.as_array(start, (rows, columns))
+
+
+class Child:
+    """Runs the deck, then what the parent asks for."""
+
+    def __init__(self, lib: Library, shared: Shared, given: dict[str, Any]) -> None:
+        self.lib, self.shared, self.given = lib, shared, given
+        saved, self._diameter = str(given["saved"]), float(given["diameter"])
+        lib.file(str(given["deck"]))
+        self._samples = 1  # of the running mean of the floor force: the deck took one
+        self._floor = lib.scalar("floor")
+        # The deck ended with the forces of the start; a first force from the gas is added by hand (see `run`).
+        self._fresh = not saved
+        if saved:
+            self._restore(Path(saved))
+        self.publish()
+
+    def publish(self) -> dict[str, Any]:
+        """Put positions and velocities into the shared arrays, by id; return what every answer holds."""
+        rows = self.lib.rows
+        if len(rows) == len(self.shared.x):
+            self.shared.x[rows] = self.lib.vectors("x")
+            self.shared.v[rows] = self.lib.vectors("v")
+            if self.given["period"] is not None:
+                # LIGGGHTS brings a particle back into a periodic box only when it makes neighbour lists.
+                self.shared.x[:, 1] %= float(self.given["period"])
+        usage = resource.getrusage(resource.RUSAGE_SELF)
+        return {
+            "count": len(rows),
+            "step": self.lib.step,
+            "cpu": usage.ru_utime + usage.ru_stime,
+            "in_plane": self.given["plane"] is None or self._in_plane(float(self.given["plane"])),
+        }
+
+    def run(self, steps: int) -> dict[str, Any]:
+        """Hold the shared force and run ``steps``; reactions and overlaps of this interval."""
+        rows = self.lib.rows
+        force = self.shared.force[rows]
+        old = self.lib.vectors("dragforce")[:, 2].sum()
+        if self._fresh:
+            old = force[:, 2].sum()
+            # The first half kick uses forces that the deck computed without gas.
+            self.lib.vectors("f")[:] += force
+            self._fresh = False
+        self.lib.vectors("dragforce")[:] = force
+        before, first, momentum = self._sum(), self._floor, self._momentum()
+        self.shared.histogram[:] = 0.0
+        number, total, largest, samples = 0, 0.0, 0.0, 0
+        for part in split(steps, max(1, round(steps / LOOK_EVERY))):
+            self.lib.command(f"run {part} pre no post no")
+            overlaps = self.lib.overlaps()
+            samples += 1
+            if len(overlaps):
+                number, total = number + len(overlaps), total + float(overlaps.sum())
+                largest = max(largest, float(overlaps.max()))
+                self.shared.histogram[:] += self._bins(overlaps)
+        self._samples += steps
+        self._floor = self.lib.scalar("floor")
+        # Velocity Verlet gives half the first force and half the last: the trapezoidal sum is the impulse.
+        floor = (self._sum() - before + 0.5 * (first - self._floor)) / steps
+        gas = ((steps - 0.5) * force[:, 2].sum() + 0.5 * old) / steps
+        gain = (self._momentum() - momentum) / (steps * float(self.given["dt"]))
+        weight = float(self.given["gravity"]) * self.lib.masses.sum()
+        return {
+            "floor": floor,
+            # To add up the other walls' forces in every step would cost 2 % of the run for each of them.
+            "other_walls": gain + weight - gas - floor,
+            "contacts": number / samples,
+            "overlap_max": largest,
+            "overlap_mean": total / number if number else 0.0,
+        }
+
+    def save(self) -> dict[str, Any]:
+        """Write the state: LIGGGHTS' restart with the contact history, and the forces of the last step.
+
+        A restart alone is set up with forces that LIGGGHTS computes anew, with other velocities than a run does.
+        Writing it sorts the particles anew, so this process goes on exactly as the one that will read it.
+        """
+        forces = {"f": self._by_id("f"), "torque": self._by_id("torque"), "floor": np.array(self._floor)}
+        np.savez(SAVED_FORCES, **forces)  # type: ignore[arg-type]  # the stubs mistake the names for options
+        self.lib.command("write_restart particles.restart")
+        self.lib.command("run 0 post no")
+        self._restore(Path(SAVED_FORCES))
+        return {}
+
+    def _restore(self, path: Path) -> None:
+        rows = self.lib.rows
+        with np.load(path, allow_pickle=False) as saved:
+            self.lib.vectors("f")[:] = saved["f"][rows]
+            self.lib.vectors("torque")[:] = saved["torque"][rows]
+            self._floor = float(saved["floor"])
+
+    def _by_id(self, name: str) -> Array:
+        out = np.empty_like(self.shared.x)
+        out[self.lib.rows] = self.lib.vectors(name)
+        return out
+
+    def _sum(self) -> float:
+        """Return the floor force summed over all steps so far (the fix gives its mean)."""
+        return self._samples * self.lib.mean("floor_mean")
+
+    def _momentum(self) -> float:
+        """Return the upward momentum of all particles [N s]."""
+        return float(self.lib.masses @ self.lib.vectors("v")[:, 2])
+
+    def _in_plane(self, y: float) -> bool:
+        """Whether every particle is exactly in the plane and neither moves nor spins out of it."""
+        x, v, spin = (self.lib.vectors(name) for name in ("x", "v", "omega"))
+        return bool((x[:, 1] == y).all()) and not (v[:, 1].any() or spin[:, 0].any() or spin[:, 2].any())
+
+    def _bins(self, overlaps: Array) -> Array:
+        with np.errstate(divide="ignore"):  # an overlap of exactly 0 belongs to the first bin
+            place = np.floor((np.log10(overlaps / self._diameter) + DECADES) * BINS_PER_DECADE) + 1.0
+        last = DECADES * BINS_PER_DECADE
+        return np.bincount(np.clip(place, 0, last).astype(np.intp), minlength=last + 1).astype(np.float64)
+
+
+def split(steps: int, parts: int) -> list[int]:
+    """Return ``steps`` in at most ``parts`` whole, nearly equal parts."""
+    marks = [steps * i // parts for i in range(parts + 1)]
+    return [b - a for a, b in itertools.pairwise(marks) if b > a]
+
+
+def serve(channel: socket.socket, child: Child, kept: int) -> None:
+    """Answer until the parent says close, or is gone."""
+    channel.send(json.dumps(child.publish()).encode())
+    while message := channel.recv(MAX_MESSAGE):
+        request = json.loads(message)
+        match request["do"]:
+            case "run":
+                answer = child.run(int(request["steps"]))
+            case "save":
+                answer = child.save()
+            case _:
+                return
+        if os.fstat(1).st_size > kept + MAX_LOG:
+            os.ftruncate(1, kept)  # opened for appending: the next line follows the deck's
+        channel.send(json.dumps(answer | child.publish()).encode())
+
+
+def main(arguments: list[str]) -> None:
+    """Take the inherited socket and mapping, and serve."""
+    given = json.loads(arguments[0])
+    count = int(given["count"])
+    channel = socket.socket(fileno=int(given["socket"]))
+    shared = Shared.over(mmap.mmap(int(given["memory"]), Shared.size(count)), count)
+    library = Library()
+    serve(channel, Child(library, shared, given), os.fstat(1).st_size)
+    library.close()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
