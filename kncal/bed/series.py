@@ -1,0 +1,394 @@
+"""What a bed run leaves behind: numbers per coupling, frames of particles and gas; written piece by piece.
+
+On disk: a folder with ``facts.json`` and ``piece-00000.npz``, ``piece-00001.npz``, ... Every piece appears as a
+whole or not at all, so a run that dies keeps all pieces before. A run that goes on from a checkpoint opens the same
+folder again; rows that it computes anew replace the old ones when the folder is read.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+import zipfile
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kncal.bed.model import BedModel
+from kncal.checks import Array
+from kncal.coupling.base import DemStep, GasFields, GasStep
+from kncal.errors import InputError, ReadError
+from kncal.io.tables import read_json, write_csv, write_json
+
+#: A piece is written when it holds this much [bytes], or when the last one is this old [s].
+PIECE_BYTES = 16 * 1024**2
+PIECE_SECONDS = 30.0
+#: A larger piece is refused when read [bytes].
+MAX_PIECE_BYTES = 1024**3
+
+Frames = NDArray[np.float32]
+
+#: Unit of each number of a coupling.
+UNITS: Mapping[str, str] = {
+    "coupling": "-", "t": "s", "U_0": "m/s", "p_in": "Pa", "floor": "N", "walls": "N", "drag_z": "N", "weight": "N",
+    "momentum_z": "kg m/s", "kinetic_energy": "J", "z_mean": "m", "z_95": "m", "overlap_max": "m",
+    "overlap_mean": "m", "contacts": "-", "reaction_error": "-", "not_passed": "-", "solids_error": "-",
+    "eps_g_min": "-", "courant_max": "-",
+}  # fmt: skip
+_FRAMES = ("frame_coupling", "t_frame", "x", "v", "eps_g", "p", "U")
+
+
+@dataclass(frozen=True, kw_only=True)
+class BedFacts:
+    """What stays the same during a run and is needed to understand its numbers.
+
+    Attributes
+    ----------
+    name : of the scene; kind : "linear" or "hertz"
+    size : box (x, y, z) [m]; cells : gas cells per axis; front_back : see `kncal.bed.scene.DEPTHS`
+    count : particles; diameter [m]; density of the particles [kg/m³]; gravity [m/s²]
+    gas_density : [kg/m³], 0 without gas
+    jet : whether the gas enters through a jet, so that ``p_in`` is the pressure at its slot only
+    coupling : interval between couplings [s]
+    histogram_edges : (bins + 1,) edges of the overlap histogram [m]
+    """
+
+    name: str
+    kind: str
+    size: tuple[float, float, float]
+    cells: tuple[int, int, int]
+    front_back: str
+    count: int
+    diameter: float
+    density: float
+    gravity: float
+    gas_density: float
+    jet: bool
+    coupling: float
+    histogram_edges: tuple[float, ...]
+
+    @property
+    def floor_area(self) -> float:
+        """Area of the floor [m²]."""
+        return self.size[0] * self.size[1]
+
+    @property
+    def mass(self) -> float:
+        """Mass of all particles [kg]."""
+        return self.count * self.density * np.pi / 6.0 * self.diameter**3
+
+    @property
+    def weight(self) -> float:
+        """Weight of all particles [N]."""
+        return self.mass * self.gravity
+
+
+@dataclass(frozen=True, kw_only=True)
+class BedSeries:
+    """All numbers of a run; NaN where a run without gas or with frozen particles has none.
+
+    Arrays of (couplings,), at or over the interval that ends at ``t``:
+
+    Attributes
+    ----------
+    facts : BedFacts
+    coupling : number of the coupling, from 1, increasing by 1
+    t : time [s]; U_0 : superficial inlet velocity [m/s]
+    p_in : mean gauge pressure at the inlet patch [Pa]
+    floor, walls : vertical force of the particles on the floor, and on side walls and lid, positive downwards, mean
+        over the interval [N]
+    drag_z : sum of the gas forces on the particles, buoyancy included, upwards [N]
+    weight : of the particles [N]; momentum_z : of the particles, upwards [kg m/s]
+    kinetic_energy : of the particles' translation [J]
+    z_mean, z_95 : mean and 95 % quantile of the heights of the particle centres [m]
+    overlap_max, overlap_mean : of the particle contacts in the interval [m]; contacts : their number
+    reaction_error, not_passed : see `kncal.coupling.base.GasStep`, relative to the weight
+    solids_error, eps_g_min, courant_max : see `GasStep`
+    histogram : (couplings, bins) counts of overlaps, edges in ``facts.histogram_edges``
+    frame_coupling : (frames,) coupling after which a frame was taken, 0 for the start
+    t_frame : (frames,) [s]
+    x, v : (frames, particles, 3) [m], [m/s], single precision
+    eps_g, p, U : (frames, nz, ny, nx) void fraction, gauge pressure [Pa]; (frames, nz, ny, nx, 3) [m/s]; single
+        precision; no frames (first axis 0) without gas
+    """
+
+    facts: BedFacts
+    coupling: NDArray[np.int64]
+    t: Array
+    U_0: Array
+    p_in: Array
+    floor: Array
+    walls: Array
+    drag_z: Array
+    weight: Array
+    momentum_z: Array
+    kinetic_energy: Array
+    z_mean: Array
+    z_95: Array
+    overlap_max: Array
+    overlap_mean: Array
+    contacts: Array
+    reaction_error: Array
+    not_passed: Array
+    solids_error: Array
+    eps_g_min: Array
+    courant_max: Array
+    histogram: NDArray[np.int64]
+    frame_coupling: NDArray[np.int64]
+    t_frame: Array
+    x: Frames
+    v: Frames
+    eps_g: Frames
+    p: Frames
+    U: Frames
+
+
+def bed_facts(model: BedModel, histogram_edges: Array) -> BedFacts:
+    """Collect the facts of a model; ``histogram_edges`` (bins + 1,) [m] as the particle side counts overlaps."""
+    scene = model.scene
+    column, particles = scene.column, scene.particles
+    return BedFacts(
+        name=scene.name,
+        kind=model.kind,
+        size=(column.width, column.depth, column.height),
+        cells=column.cells,
+        front_back=column.front_back,
+        count=particles.count,
+        diameter=particles.diameter,
+        density=float(particles.material.density),
+        gravity=scene.gravity,
+        gas_density=scene.gas.density if scene.gas else 0.0,
+        jet=bool(scene.gas and scene.gas.jet),
+        coupling=model.coupling,
+        histogram_edges=tuple(float(edge) for edge in histogram_edges),
+    )
+
+
+class SeriesWriter:
+    """Writes a run into a folder, piece by piece; use as a context manager or call `close`.
+
+    The folder is made if missing; pieces that are there stay, see the module's text. InputError if they are of a run
+    with other facts.
+    """
+
+    def __init__(self, folder: Path, facts: BedFacts) -> None:
+        self.folder = folder
+        self.facts = facts
+        folder.mkdir(parents=True, exist_ok=True)
+        if (folder / "facts.json").exists():
+            if (there := _read_facts(folder)) != facts:
+                differing = ", ".join(f.name for f in fields(facts) if getattr(there, f.name) != getattr(facts, f.name))
+                raise InputError(
+                    f"{folder} holds the series of another run ({differing} differ); expected the same run, or an "
+                    "empty folder"
+                )
+        else:
+            write_json(folder / "facts.json", asdict(facts))
+        self._number = 1 + max((_piece_number(path) for path in folder.glob("piece-*.npz")), default=-1)
+        self._rows: list[tuple[float, ...]] = []
+        self._histograms: list[NDArray[np.int64]] = []
+        self._frames: list[tuple[NDArray[Any], ...]] = []
+        self._bytes = 0
+        self._written_at = time.monotonic()
+
+    def __enter__(self) -> SeriesWriter:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def add(self, coupling: int, U_0: float, gas: GasStep | None, dem: DemStep | None, x: Array, v: Array) -> None:
+        """Take the numbers of one coupling.
+
+        Parameters
+        ----------
+        coupling : int
+            From 1; the time is ``coupling * facts.coupling``.
+        U_0 : float
+            Superficial inlet velocity of this interval [m/s].
+        gas : GasStep or None
+            None without gas: no force, no pressure, the rest NaN.
+        dem : DemStep or None
+            None with frozen particles: NaN.
+        x, v : (n, 3) arrays
+            Positions [m] and velocities [m/s] at the end of the interval.
+        """
+        facts = self.facts
+        nan = float("nan")
+        mass, weight = facts.mass / facts.count, facts.weight
+        row = dict.fromkeys(UNITS, nan) | {
+            "coupling": float(coupling),
+            "t": coupling * facts.coupling,
+            "U_0": U_0,
+            "p_in": 0.0,
+            "drag_z": 0.0,
+            "weight": weight,
+            "momentum_z": mass * float(v[:, 2].sum()),
+            "kinetic_energy": 0.5 * mass * float(np.einsum("ij,ij->", v, v)),
+            "z_mean": float(x[:, 2].mean()),
+            "z_95": _quantile(x[:, 2], 0.95),
+        }
+        if gas is not None:
+            row |= {name: getattr(gas, name) for name in ("p_in", "solids_error", "eps_g_min", "courant_max")}
+            row["drag_z"] = float(gas.force[:, 2].sum())
+            row["reaction_error"] = gas.reaction_error / weight if weight else nan
+            row["not_passed"] = gas.not_passed / weight if weight else nan
+        histogram = np.zeros(len(facts.histogram_edges) - 1, dtype=np.int64)
+        if dem is not None:
+            row |= {name: getattr(dem, name) for name in ("overlap_max", "overlap_mean", "contacts")}
+            row |= {"floor": dem.floor_force, "walls": dem.other_walls_force}
+            histogram = np.array(dem.histogram, dtype=np.int64)
+        self._rows.append(tuple(row[name] for name in UNITS))
+        self._histograms.append(histogram)
+        self._grown(8 * (len(UNITS) + len(histogram)))
+
+    def frame(self, coupling: int, x: Array, v: Array, fields: GasFields | None) -> None:
+        """Record a frame after coupling ``coupling`` (0: the start), before the next `add`; copies what it is given.
+
+        ``x``, ``v`` as in `add`; ``fields`` None without gas.
+        """
+        nx, ny, nz = self.facts.cells
+        gas = (np.empty((0, nz, ny, nx)), np.empty((0, nz, ny, nx)), np.empty((0, nz, ny, nx, 3)))
+        if fields is not None:
+            gas = (fields.eps_g[None], fields.p[None], fields.U[None])
+        frame = (
+            np.array([coupling], dtype=np.int64),
+            np.array([coupling * self.facts.coupling]),
+            *(np.array(array, dtype=np.float32) for array in (x[None], v[None], *gas)),
+        )
+        self._frames.append(frame)
+        self._grown(sum(array.nbytes for array in frame))
+
+    def flush(self) -> None:
+        """Bring everything so far to the disk. Call it before saving a checkpoint."""
+        self._written_at = time.monotonic()
+        if not self._rows and not self._frames:
+            return
+        arrays: dict[str, NDArray[Any]] = {
+            "rows": np.array(self._rows, dtype=np.float64).reshape(-1, len(UNITS)),
+            "histogram": np.array(self._histograms, dtype=np.int64).reshape(-1, len(self.facts.histogram_edges) - 1),
+        }
+        if self._frames:
+            arrays |= {
+                name: np.concatenate(parts)
+                for name, parts in zip(_FRAMES, zip(*self._frames, strict=True), strict=True)
+            }
+        path = self.folder / f"piece-{self._number:05d}.npz"
+        part = path.with_suffix(".part")
+        with part.open("wb") as file:
+            np.savez(file, allow_pickle=False, **arrays)
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(path)
+        self._number += 1
+        self._rows, self._histograms, self._frames, self._bytes = [], [], [], 0
+
+    def _grown(self, by: int) -> None:
+        self._bytes += by
+        if self._bytes > PIECE_BYTES or time.monotonic() - self._written_at > PIECE_SECONDS:
+            self.flush()
+
+    def close(self) -> None:
+        """Write what is left; may be called twice."""
+        self.flush()
+
+
+def read_series(folder: Path) -> BedSeries:
+    """Read the series that `SeriesWriter` wrote into ``folder``, of a finished, a running or a dead run.
+
+    Raises
+    ------
+    ReadError
+        If there is no piece, if a piece is damaged or does not fit the facts, or if couplings are missing.
+    """
+    facts = _read_facts(folder)
+    paths = sorted(folder.glob("piece-*.npz"), key=_piece_number)
+    if not paths:
+        raise ReadError(f"{folder}: no piece-*.npz; expected the series of a run (did it end before its first piece?)")
+    kept: list[dict[str, NDArray[Any]]] = []
+    for path in paths:
+        piece = _read_piece(path, facts)
+        numbers = np.concatenate([piece["rows"][:, 0], piece["frame_coupling"]])
+        kept = [_before(int(numbers.min()), earlier) for earlier in kept]  # computed anew after a checkpoint
+        kept.append(piece)
+    whole = {name: np.concatenate([piece[name] for piece in kept]) for name in kept[0]}
+    rows = whole.pop("rows")
+    coupling = rows[:, 0].astype(np.int64)
+    if len(coupling) and not np.array_equal(coupling, np.arange(1, len(coupling) + 1)):
+        at = int(np.flatnonzero(coupling != np.arange(1, len(coupling) + 1))[0]) + 1
+        raise ReadError(f"{folder}: coupling {at} is missing; expected every coupling from 1 on (was a piece deleted?)")
+    table: dict[str, Any] = {name: rows[:, i].astype(np.float64) for i, name in enumerate(UNITS)}
+    return BedSeries(facts=facts, **(table | {"coupling": coupling}), **whole)
+
+
+def write_series_csv(path: Path, series: BedSeries) -> None:
+    """Write the numbers per coupling as CSV with units in its first line; see `kncal.io.tables.write_csv`."""
+    import pandas as pd
+
+    write_csv(path, pd.DataFrame({name: getattr(series, name) for name in UNITS}), UNITS)
+
+
+def _quantile(values: Array, share: float) -> float:
+    """Return the smallest value that at least ``share`` of all do not exceed: quicker than np.quantile."""
+    at = max(0, int(np.ceil(share * len(values))) - 1)
+    return float(np.partition(values, at)[at])
+
+
+def _piece_number(path: Path) -> int:
+    try:
+        return int(path.stem.removeprefix("piece-"))
+    except ValueError as error:
+        raise ReadError(f"{path}: not a name that kncal gives; expected piece-00000.npz and so on") from error
+
+
+def _read_facts(folder: Path) -> BedFacts:
+    path = folder / "facts.json"
+    data = read_json(path)
+    names = {f.name for f in fields(BedFacts)}
+    if not isinstance(data, dict) or set(data) != names:
+        raise ReadError(f"{path}: expected exactly the keys {', '.join(sorted(names))}")
+    values: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value for name, value in data.items()}
+    return BedFacts(**values)
+
+
+def _before(coupling: int, piece: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    rows = piece["rows"][:, 0] < coupling
+    frames = piece["frame_coupling"] < coupling
+    gas = frames if len(piece["eps_g"]) else np.zeros(0, dtype=bool)
+    masks = {"rows": rows, "histogram": rows, "eps_g": gas, "p": gas, "U": gas}
+    return {name: array[masks.get(name, frames)] for name, array in piece.items()}
+
+
+def _read_piece(path: Path, facts: BedFacts) -> dict[str, NDArray[Any]]:
+    """Read one piece; every array is there, with zero frames if the piece has none, and has the shape it must have."""
+    try:
+        if path.stat().st_size > MAX_PIECE_BYTES:
+            raise ReadError(f"{path}: larger than {MAX_PIECE_BYTES} bytes; expected a piece that kncal wrote")
+        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+            arrays: dict[str, NDArray[Any]] = {name: file[name] for name in file.files}
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise ReadError(f"{path}: damaged ({error}); expected a piece of a series") from error
+    nx, ny, nz = facts.cells
+    field_shape = (nz, ny, nx)
+    shapes: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
+        "rows": (np.float64, (len(UNITS),)),
+        "histogram": (np.int64, (len(facts.histogram_edges) - 1,)),
+        "frame_coupling": (np.int64, ()),
+        "t_frame": (np.float64, ()),
+        "x": (np.float32, (facts.count, 3)),
+        "v": (np.float32, (facts.count, 3)),
+        "eps_g": (np.float32, field_shape),
+        "p": (np.float32, field_shape),
+        "U": (np.float32, (*field_shape, 3)),
+    }
+    for name, (kind, shape) in shapes.items():
+        array = arrays.setdefault(name, np.empty((0, *shape), dtype=kind))
+        if array.dtype != kind or array.shape[1:] != shape:
+            raise ReadError(f"{path}: {name} is {array.dtype} {array.shape}; expected {kind.__name__} (any, {shape})")
+    if not len(arrays["rows"]) and not len(arrays["frame_coupling"]):
+        raise ReadError(f"{path}: empty; expected rows or frames")
+    return {name: arrays[name] for name in shapes}
