@@ -53,7 +53,8 @@ _NEEDS = {
     "decided_by": ("decided by", ""),
 }
 
-_ENDS = {
+#: Contact end -> what it means.
+CONTACT_ENDS = {
     "overlap": "Contact end: the overlap is back at zero. Restitution and duration count to that moment, and"
     " a damped contact may pull shortly before it.",
     "force": "Contact end: the normal force is back at zero. Attraction is cut off, and restitution and"
@@ -128,7 +129,7 @@ def write_report(
     page = folder / "index.html"
     write_text(
         page,
-        _template().render(
+        page_template("index.html.j2").render(
             case=scene.name,
             title=scene.title,
             source=scene.source,
@@ -144,7 +145,7 @@ def write_report(
             shared_warnings=shared_warnings,
             accuracy=_table(accuracy, _ACCURACY),
             needs=_table(needs_table, _NEEDS),
-            contact_end=_ENDS[scene.contact.end],
+            contact_end=CONTACT_ENDS[scene.contact.end],
             method=_method(scene.contact),
             provenance=provenance,
             files=files,
@@ -153,7 +154,8 @@ def write_report(
     return page
 
 
-def _template() -> Any:
+def page_template(name: str) -> Any:
+    """Return a page of ``templates/report`` as a Jinja2 template that escapes every text it is given."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     environment = Environment(
@@ -163,7 +165,7 @@ def _template() -> Any:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    return environment.get_template("index.html.j2")
+    return environment.get_template(name)
 
 
 def _state(comparison: Comparison) -> str:

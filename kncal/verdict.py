@@ -42,10 +42,10 @@ def _judgement(linear: Model, hertz: Model, rows: Sequence[MetricRow]) -> str:
         nearest = max(judged, key=_use)
         return (
             f"Within tolerance: {who} agrees with {laws} in {_all(len(judged))} judged; closest to its"
-            f" limit: {nearest.metric}, {percent(nearest.difference)} where {_allowed(nearest)} is allowed."
+            f" limit: {nearest.metric}, {percent(nearest.difference)} where {allowed(nearest.tolerance)} is allowed."
         )
     texts = [
-        f"{r.metric} by {percent(r.difference)} ({_allowed(r)} allowed)"
+        f"{r.metric} by {percent(r.difference)} ({allowed(r.tolerance)} allowed)"
         if r.verdict == "outside"
         else f"{r.metric} could not be computed ({r.reason})"
         for r in failed
@@ -75,17 +75,18 @@ def _use(row: MetricRow) -> float:
 def _speed(costs: tuple[Cost, Cost], speed: Speed) -> str:
     linear, hertz = costs
     text = f"The linear run took {linear.steps:,} steps, the Hertz run {hertz.steps:,}:"
-    text += f" {_factor(speed.steps, 'steps')}. CPU time: {quantity(linear.cpu_seconds, 's', 3)} against"
+    text += f" {factor(speed.steps, 'steps')}. CPU time: {quantity(linear.cpu_seconds, 's', 3)} against"
     text += f" {quantity(hertz.cpu_seconds, 's', 3)}"
     if speed.cpu is None:
         return f"{text}." if "builtin" in (linear.engine, hertz.engine) else f"{text}, too short for a ratio."
-    text += f", {_factor(speed.cpu, 'CPU time')}"
+    text += f", {factor(speed.cpu, 'CPU time')}"
     if min(linear.runs, hertz.runs) > 1:
         text += f" (ratio {speed.cpu_low:.2f} to {speed.cpu_high:.2f} over {linear.runs} and {hertz.runs} runs)"
     return f"{text}."
 
 
-def _factor(ratio: float, what: str) -> str:
+def factor(ratio: float, what: str) -> str:
+    """Return a ratio of "steps" or "CPU time" in words: "2.00 times fewer steps"."""
     if abs(ratio - 1.0) < 0.005:
         return f"the same {what}"
     word = "fewer" if what == "steps" else "less"
@@ -125,5 +126,6 @@ def _all(n: int) -> str:
     return "the one metric" if n == 1 else f"all {n} metrics"
 
 
-def _allowed(row: MetricRow) -> str:
-    return f"±{100.0 * (row.tolerance or 0.0):.3g} %"
+def allowed(tolerance: float | None) -> str:
+    """Return a tolerance as text: "±5 %"."""
+    return f"±{100.0 * (tolerance or 0.0):.3g} %"

@@ -1,0 +1,219 @@
+"""Linear against Hertz in a bed: two chaotic runs, so averages with uncertainties are compared, never histories."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kncal.bed.cost import BedCost, bed_cost, bed_speed
+from kncal.bed.invariants import Invariant, invariants
+from kncal.bed.model import BedModel
+from kncal.bed.observe import BedObservations, observe_bed, voidage_difference
+from kncal.bed.quantities import quantities
+from kncal.bed.rows import BedRow, judge, judge_field, row_order
+from kncal.bed.series import BedSeries
+from kncal.bed.verdict import sentences
+from kncal.cost import Speed
+from kncal.engines.base import RunResult
+from kncal.errors import InputError, RunError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True, kw_only=True)
+class BedRunData:
+    """One completed bed run.
+
+    Attributes
+    ----------
+    model : BedModel
+    result : RunResult; ``extra`` holds what `kncal.bed.cost.EXTRA` names
+    series : BedSeries
+    """
+
+    model: BedModel
+    result: RunResult
+    series: BedSeries
+
+
+@dataclass(frozen=True, kw_only=True)
+class BedComparison:
+    """The verdict on two bed runs; made by `compare_beds`.
+
+    Attributes
+    ----------
+    linear, hertz : BedRunData
+    observations : (linear, hertz)
+    rows : one BedRow per quantity
+    invariants : what must hold in each run, with its limit
+    costs : (linear, hertz)
+    speed : of the particle side, Hertz over linear
+    total_speed : CPU time of all processes, Hertz over linear; None if too short to tell
+    """
+
+    linear: BedRunData
+    hertz: BedRunData
+    observations: tuple[BedObservations, BedObservations]
+    rows: tuple[BedRow, ...]
+    invariants: tuple[Invariant, ...]
+    costs: tuple[BedCost, BedCost]
+    speed: Speed
+    total_speed: float | None
+
+    @property
+    def judged(self) -> tuple[BedRow, ...]:
+        """The rows with a tolerance."""
+        return tuple(r for r in self.rows if r.tolerance is not None)
+
+    @property
+    def within(self) -> bool:
+        """Whether every row with a tolerance is within it for certain (True if none has one)."""
+        return all(r.verdict == "ok" for r in self.judged)
+
+    @property
+    def state(self) -> str:
+        """The verdict in a word: "outside", "undecided", "within", or "open" if no row has a tolerance."""
+        verdicts = {r.verdict for r in self.judged}
+        if not verdicts:
+            return "open"
+        if verdicts & {"outside", "missing"}:
+            return "outside"
+        return "undecided" if "undecided" in verdicts else "within"
+
+    @property
+    def needed_end_time(self) -> float | None:
+        """run.end_time that would decide all undecided rows [s]; None if there is none, or it is out of reach."""
+        times = [r.needed_end_time for r in self.rows if r.verdict == "undecided"]
+        known = [t for t in times if t is not None]
+        return max(known) if known and len(known) == len(times) else None
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """The verdict in words: the judgement, what was saved, then what to keep in mind."""
+        return sentences(
+            (self.linear.model, self.hertz.model),
+            self.rows,
+            self.invariants,
+            self.costs,
+            (self.speed, self.total_speed),
+        )
+
+    def row(self, metric: str) -> BedRow:
+        """Return the row of ``metric``; raises `InputError` if there is none."""
+        for row in self.rows:
+            if row.metric == metric:
+                return row
+        raise InputError(f"metric = {metric!r}: expected one of {', '.join(r.metric for r in self.rows)}")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything but the series, as plain JSON types (no NaN)."""
+        scene = self.hertz.model.scene
+        runs = zip((self.linear, self.hertz), self.observations, strict=True)
+        return {
+            "case": scene.name,
+            "title": scene.title,
+            "within": self.within,
+            "state": self.state,
+            "needed_end_time": self.needed_end_time,
+            "verdict": list(self.sentences),
+            "rows": [asdict(r) for r in self.rows],
+            "invariants": [asdict(i) for i in self.invariants],
+            "costs": [asdict(c) for c in self.costs],
+            "speed": {**asdict(self.speed), "caveats": list(self.speed.caveats), "total": self.total_speed},
+            "averaged": {
+                data.model.kind: {"begin": seen.begin, "begin_by": seen.begin_by, "end": float(data.series.t[-1])}
+                for data, seen in runs
+            },
+            "models": {
+                data.model.kind: {"–".join(pair): asdict(c) for pair, c in data.model.contacts.items()}
+                for data in (self.linear, self.hertz)
+            },
+        }
+
+    def to_frame(self) -> pd.DataFrame:
+        """One row per quantity; the columns are the fields of `BedRow`."""
+        import pandas as pd
+
+        return pd.DataFrame([asdict(r) for r in self.rows], columns=list(BedRow.__dataclass_fields__))
+
+
+def compare_beds(linear: BedRunData, hertz: BedRunData, tolerances: Mapping[str, float] | None = None) -> BedComparison:
+    """Compare a linear run with a Hertz run of the same bed.
+
+    Each run is averaged after its own start-up (``run.discard`` of its scene, or as detected). A difference is called
+    one if it is larger than its uncertainty, the half-width of its 95 % confidence interval. A tolerance is met if
+    the whole interval is within it; see `kncal.bed.rows.judge`.
+
+    Parameters
+    ----------
+    linear, hertz : BedRunData
+    tolerances : metric -> largest allowed abs(difference) [-]; None: those of the Hertz run's scene. One for a
+        metric that cannot be computed makes the comparison fail.
+
+    Raises
+    ------
+    RunError
+        If a run did not complete, or its result has no split of the cost.
+    InputError
+        If the runs are not of the same bed, too short for any average, or a tolerance is not a finite number >= 0.
+    """
+    for kind, data in (("linear", linear), ("hertz", hertz)):
+        if data.result.status != "completed":
+            raise RunError(
+                f"the {kind} run in {data.result.folder} ended as {data.result.status!r}"
+                f" ({data.result.message or 'no message'}): only completed runs can be compared; run it again"
+            )
+    _same_bed(linear, hertz)
+    limits = dict(hertz.model.scene.tolerances if tolerances is None else tolerances)
+    for name, limit in limits.items():
+        if isinstance(limit, bool) or not isinstance(limit, int | float) or not 0.0 <= limit < np.inf:
+            raise InputError(f"tolerances: {name} = {limit!r}: expected a finite number >= 0, 0.05 means 5 %")
+    seen_l, seen_h = (observe_bed(data.series, data.model.scene.run.discard) for data in (linear, hertz))
+    found_l, found_h = quantities(linear.series, seen_l), quantities(hertz.series, seen_h)
+    names = sorted({*found_l.sides, *found_h.sides, *limits, "eps_g"}, key=row_order)
+    rows = [
+        _field_row(linear, hertz, (seen_l, seen_h), limits.get(name))
+        if name == "eps_g"
+        else judge(name, found_l.side(name), found_h.side(name), limits.get(name))
+        for name in names
+    ]
+    costs = (bed_cost(linear.model, linear.result), bed_cost(hertz.model, hertz.result))
+    saved, total = bed_speed(*costs)
+    return BedComparison(
+        linear=linear,
+        hertz=hertz,
+        observations=(seen_l, seen_h),
+        rows=tuple(rows),
+        invariants=invariants((linear.series, hertz.series), (found_l, found_h)),
+        costs=costs,
+        speed=saved,
+        total_speed=total,
+    )
+
+
+def _field_row(
+    linear: BedRunData,
+    hertz: BedRunData,
+    seen: tuple[BedObservations, BedObservations],
+    tolerance: float | None,
+) -> BedRow:
+    end = float(max(linear.series.t[-1], hertz.series.t[-1]))
+    try:
+        rms, noise = voidage_difference(linear.series, hertz.series, seen[0].begin, seen[1].begin)
+    except InputError as error:
+        return judge_field("eps_g", None, 0.0, tolerance, end, str(error))
+    return judge_field("eps_g", rms, noise, tolerance, end)
+
+
+def _same_bed(linear: BedRunData, hertz: BedRunData) -> None:
+    a, b = linear.model.scene, hertz.model.scene
+    differing = [name for name in ("column", "particles", "gas", "gravity") if getattr(a, name) != getattr(b, name)]
+    if differing:
+        raise InputError(
+            f"the runs in {linear.result.folder} and {hertz.result.folder} differ in their {', '.join(differing)}:"
+            " only runs of the same bed can be compared"
+        )

@@ -1,0 +1,78 @@
+"""The figures of a bed report: which pictures the data allow, and what to look at in them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from kncal import plots
+from kncal.bed import pictures
+from kncal.bed.animation import animate
+from kncal.bed.compare import BedComparison
+from kncal.figures import Figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+#: Signals drawn against time: name in `kncal.bed.pictures.SIGNALS` -> what to look at.
+_SIGNALS = {
+    "p_in": "Pressure at the inlet. Two chaotic runs never follow each other: compare the means and their bands.",
+    "z_mean": "Mean height of the particles: how far the bed is expanded, and whether it still drifts.",
+}
+
+
+def draw_bed_figures(comparison: BedComparison, folder: Path) -> tuple[Figure, ...]:
+    """Write every figure that the data allow into ``folder``, as PNG and SVG; the animation as GIF."""
+    data = (comparison.linear, comparison.hertz)
+    runs = {d.model.kind: (d.series, seen) for d, seen in zip(data, comparison.observations, strict=True)}
+    figures = []
+
+    def add(name: str, ax: Axes, caption: str, alt: str) -> None:
+        png, svg = plots.save(ax, folder, name)
+        figures.append(Figure(name=name, png=png.name, svg=svg.name, caption=caption, alt=alt))
+
+    gas = all(seen.eps_g is not None for seen in comparison.observations)
+    for name, caption in _SIGNALS.items():
+        if name != "p_in" or gas:
+            alt = f"{pictures.SIGNALS[name][0]} against time, linear and Hertz."
+            add(name, pictures.signal_time(runs, name), caption, alt)
+    if gas:
+        add(
+            "voidage",
+            pictures.voidage_maps(runs).axes[0],
+            "Time mean void fraction, averaged over the depth, and the difference of the two: noise has no shape.",
+            "Maps of the mean void fraction, linear, Hertz, and their difference.",
+        )
+    if any(seen.overlaps is not None for seen in comparison.observations):
+        add(
+            "overlaps",
+            pictures.overlap_histogram(runs),
+            "Overlaps of all contacts between particles: this is where the two contacts must differ.",
+            "Share of contacts against overlap over diameter, linear and Hertz.",
+        )
+    if any(seen.spectrum is not None for seen in comparison.observations):
+        add(
+            "spectrum",
+            pictures.pressure_spectra(runs),
+            "Spectrum of the inlet pressure: the peak is the rhythm of the bubbles.",
+            "Spectral density of the inlet pressure against frequency, linear and Hertz.",
+        )
+    if any(seen.tracks is not None and len(seen.tracks.diameter) for seen in comparison.observations):
+        add(
+            "bubbles",
+            pictures.bubble_rise(runs),
+            "Rise velocity of every bubble that could be followed against its diameter, and of a single bubble.",
+            "Rise velocity of bubbles against their diameter, linear and Hertz.",
+        )
+    if all(len(d.series.t_frame) > 1 for d in data):
+        path = animate({kind: series for kind, (series, _) in runs.items()}, folder / "animation.gif")
+        figures.append(
+            Figure(
+                name="animation",
+                png=path.name,
+                svg=path.name,
+                caption="Both runs at equal times, seen from the front, coloured by the speed of the particles.",
+                alt="Animation of the particles, linear and Hertz side by side.",
+            )
+        )
+    return tuple(figures)

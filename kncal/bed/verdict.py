@@ -1,0 +1,160 @@
+"""The verdict on two beds in words: whether they agree as far as can be told, what it saves, what to mind."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from kncal.bed.cost import BedCost
+from kncal.bed.invariants import Invariant
+from kncal.bed.model import BedModel
+from kncal.bed.rows import RMS, BedRow, called_by_chance
+from kncal.cost import Speed
+from kncal.units import quantity
+from kncal.verdict import allowed, factor
+
+
+def sentences(
+    models: tuple[BedModel, BedModel],
+    rows: Sequence[BedRow],
+    invariants: Sequence[Invariant],
+    costs: tuple[BedCost, BedCost],
+    speed: tuple[Speed, float | None],
+) -> tuple[str, ...]:
+    """Return the verdict as sentences: the judgement, the speed, then notes (invariants, surprises, caveats)."""
+    return (
+        _judgement(*models, rows),
+        _speed(costs, *speed),
+        *_broken(invariants),
+        *_undecided(rows),
+        _differences(rows),
+        *_doubts(rows),
+        *speed[0].caveats,
+    )
+
+
+def spring(model: BedModel) -> str:
+    """Return the linear springs of a bed in words: "k_n = 100 N/m by mean_overlap"."""
+    stiffness = sorted({c.k for c in model.contacts.values()})
+    if not stiffness:
+        return "no contact"
+    numbers = " to ".join(quantity(k, "N/m", 4) for k in dict.fromkeys((stiffness[0], stiffness[-1])))
+    choice = model.scene.contact
+    return f"k_n = {numbers} {'prescribed' if choice.k_n is not None else f'by {choice.method}'}"
+
+
+def plus_minus(value: float, uncertainty: float, *, signed: bool = False) -> str:
+    """Return "105.3 ± 1.2": two digits of the uncertainty, and the value to the same decimals."""
+    sign = "+" if signed else ""
+    if uncertainty <= 1e-9 * abs(value):  # rounding
+        return f"{value:{sign}.4g} ± 0"
+    decimals = 1 - math.floor(math.log10(uncertainty))
+    if decimals > 6:  # both are mostly zeros
+        return f"{value:{sign}.4g} ± {uncertainty:.2g}"
+    places = max(decimals, 0)
+    return f"{value:{sign}.{places}f} ± {uncertainty:.{places}f}"
+
+
+def difference_text(row: BedRow) -> str:
+    """Return a difference with its uncertainty: "+1.2 ± 0.4 %", or "–"."""
+    if row.difference is None:
+        return "–"
+    if row.basis == RMS:
+        return f"{quantity(row.difference, '%')} ({quantity(row.uncertainty, '%')} by chance)"
+    return f"{plus_minus(100.0 * row.difference, 100.0 * (row.uncertainty or 0.0), signed=True)} %"
+
+
+def _judgement(linear: BedModel, hertz: BedModel, rows: Sequence[BedRow]) -> str:
+    laws = ", ".join(dict.fromkeys(c.law for c in hertz.contacts.values())) or hertz.kind
+    who = f"in {hertz.scene.name} the linear spring ({spring(linear)})"
+    judged = [r for r in rows if r.tolerance is not None]
+    if not judged:
+        return f"Not judged: no tolerance is given; {who} was compared with {laws}, the differences are below."
+    outside = [r for r in judged if r.verdict == "outside"]
+    missing = [r for r in judged if r.verdict == "missing"]
+    undecided = [r for r in judged if r.verdict == "undecided"]
+    if outside or missing:
+        texts = [f"{r.metric} by {difference_text(r)} ({allowed(r.tolerance)} allowed)" for r in outside]
+        texts += [f"{r.metric} could not be computed ({r.reason})" for r in missing]
+        how_many = f"{len(texts)} of {len(judged)} quantities judged"
+        rest = f"; {len(undecided)} more undecided" if undecided else ""
+        return f"Outside tolerance: {who} fails against {laws} in {how_many}: {'; '.join(texts)}{rest}."
+    if undecided:
+        texts = [f"{r.metric} {difference_text(r)} ({allowed(r.tolerance)} allowed)" for r in undecided]
+        times = [r.needed_end_time for r in undecided]
+        known = [t for t in times if t is not None]
+        needed = "run much longer, or allow more"
+        if len(known) == len(times):
+            needed = f"run until about {max(known):.3g} s (run.end_time) to decide"
+        ok = f"{len(judged) - len(undecided)} of {len(judged)} quantities judged agree"
+        return f"Undecided: {who} against {laws}: {ok}, the runs are too short for {'; '.join(texts)}: {needed}."
+    count = "the one quantity" if len(judged) == 1 else f"all {len(judged)} quantities"
+    nearest = max(judged, key=_use)
+    return (
+        f"Within tolerance: {who} agrees with {laws} in {count} judged; closest to its limit:"
+        f" {nearest.metric}, {difference_text(nearest)} where {allowed(nearest.tolerance)} is allowed."
+    )
+
+
+def _use(row: BedRow) -> float:
+    """Share of its tolerance that the interval of a row reaches."""
+    reach = abs(row.difference or 0.0) + (row.uncertainty or 0.0)
+    return reach / row.tolerance if row.tolerance else float(reach > 0.0)
+
+
+def _speed(costs: tuple[BedCost, BedCost], saved: Speed, total: float | None) -> str:
+    linear, hertz = costs
+    text = f"The linear run took {linear.dem.steps:,} DEM steps, the Hertz run {hertz.dem.steps:,}:"
+    text += f" {factor(saved.steps, 'steps')}. CPU time of the particles:"
+    text += f" {quantity(linear.dem.cpu_seconds, 's', 3)} against {quantity(hertz.dem.cpu_seconds, 's', 3)}"
+    if saved.cpu is None or total is None:
+        return f"{text}, too short for a ratio."
+    text += f", {factor(saved.cpu, 'CPU time')}; with gas and exchange"
+    return (
+        f"{text} {quantity(linear.total, 's', 3)} against {quantity(hertz.total, 's', 3)}, {factor(total, 'CPU time')}."
+    )
+
+
+def _broken(invariants: Sequence[Invariant]) -> list[str]:
+    texts = [
+        f"{i.name} (linear {_number(i.linear)}, Hertz {_number(i.hertz)};"
+        f" {'more than' if i.at_least else 'at most'} {i.limit:g} expected)"
+        for i in invariants
+        if not i.holds
+    ]
+    if not texts:
+        return []
+    return [f"Not to be trusted before this is understood: {'; '.join(texts)}."]
+
+
+def _undecided(rows: Sequence[BedRow]) -> list[str]:
+    texts = [
+        f"{r.metric} about {r.needed_end_time:.3g} s" if r.needed_end_time is not None else f"{r.metric} out of reach"
+        for r in rows
+        if r.verdict == "undecided"
+    ]
+    return [f"End time predicted to decide: {', '.join(texts)}."] if texts else []
+
+
+def _differences(rows: Sequence[BedRow]) -> str:
+    known = [r for r in rows if r.significant is not None and r.linear is not None]
+    names = [r.metric for r in rows if r.significant]
+    seen = f"larger than their uncertainty: {', '.join(names)}" if names else "none is larger than its uncertainty"
+    return (
+        f"Differences {seen}. Of {len(known)} quantities about {called_by_chance(rows):.1f} would be called different"
+        " by chance alone; where no difference is seen, one up to the uncertainty may still be there."
+    )
+
+
+def _doubts(rows: Sequence[BedRow]) -> list[str]:
+    doubted = [r.metric for r in rows if r.difference is not None and r.reason and r.linear is not None]
+    if not doubted:
+        return []
+    return [
+        f"Uncertainties not to be relied upon (taken three times as wide before they decide): {', '.join(doubted)}."
+        " The runs are short for them, or still drift."
+    ]
+
+
+def _number(value: float | None) -> str:
+    return "–" if value is None else f"{value:.3g}"

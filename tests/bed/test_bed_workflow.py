@@ -1,0 +1,155 @@
+"""A bed from its case to the report, on the real solvers: both transports, stop and resume, the command line."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kncal.bed.planning import plan_bed
+from kncal.bed.scene import BedScene
+from kncal.bed.series import BedSeries, read_series
+from kncal.bed.workflow import load_bed_run, plan_checked, resume_bed, run_bed
+from kncal.case_file import dump_case, load_case
+from kncal.coupling.adapter_build import find
+from kncal.engines.coupled import Coupled
+from kncal.errors import CaseFileError
+
+pytestmark = pytest.mark.solver
+
+NUMBERS = ("p_in", "drag_z", "floor", "z_mean", "kinetic_energy", "overlap_max", "momentum_z")
+
+
+def mini(end_time: float, count: int = 400) -> BedScene:
+    """The shipped mini bed with fewer particles and less time; a loose lattice needs no settling."""
+    scene = load_case("bubbling_bed_mini")
+    assert isinstance(scene, BedScene)
+    particles = replace(scene.particles, count=count, packing="lattice")
+    return replace(scene, particles=particles, run=replace(scene.run, end_time=end_time), tolerances={})
+
+
+def numbers(series: BedSeries) -> np.ndarray:
+    return np.array([getattr(series, name) for name in NUMBERS])
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """Both models of a short bed by the restart transport."""
+    out = tmp_path_factory.mktemp("bed") / "run"
+    results = run_bed(mini(0.01), out, transport="restart")
+    assert [r.status for r in results.values()] == ["completed", "completed"], results
+    return out
+
+
+def test_run_keeps_its_invariants(whole):
+    for kind in ("linear", "hertz"):
+        data = load_bed_run(whole / kind)
+        series = data.series
+        assert len(series.t) == data.model.couplings
+        assert series.reaction_error.max() <= 1e-10
+        assert series.not_passed.max() <= 1e-3
+        assert np.abs(series.solids_error).max() < 1e-12
+        assert data.result.extra["transport"] == "restart"
+
+
+def test_both_models_start_from_the_same_packing(whole):
+    one, two = (np.load(whole / kind / "positions.npy", allow_pickle=False) for kind in ("linear", "hertz"))
+    assert np.array_equal(one, two)
+
+
+def test_transports_give_the_same_numbers(whole, tmp_path):
+    if find() is None:
+        pytest.skip("the adapter of the live transport is not built: kncal adapter build")
+    run_bed(mini(0.01), tmp_path / "live", ("linear",), transport="live")
+    live, restart = (read_series(folder / "linear" / "series") for folder in (tmp_path / "live", whole))
+    assert np.array_equal(numbers(live), numbers(restart))
+
+
+def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(whole, tmp_path, monkeypatch):
+    # A checkpoint after every coupling, then a stop: what comes after must be what an undisturbed run gives.
+    monkeypatch.setattr("kncal.coupling.loop.CHECKPOINT_SECONDS", 0.0)
+    scene, out = mini(0.01), tmp_path / "stopped"
+    results = run_bed(scene, out, ("linear",), transport="restart", timeout=1.5)
+    assert results["linear"].status == "timed_out"
+    stopped = len(read_series(out / "linear" / "series").t)
+    assert 0 < stopped < plan_bed(scene)["linear"].couplings
+    monkeypatch.setattr("kncal.coupling.loop.CHECKPOINT_SECONDS", 1e9)
+    assert resume_bed(scene, out, transport="restart")["linear"].status == "completed"
+    one, two = (numbers(read_series(folder / "linear" / "series")) for folder in (out, whole))
+    # Saving sums forces in another order, a relative 1e-16 per step, which contacts amplify.
+    scale = np.abs(two).max(axis=1, keepdims=True)
+    assert np.abs(one - two).max() <= 1e-7 * scale.max()
+    assert np.allclose(one, two, rtol=1e-6, atol=1e-9 * scale)
+
+
+def test_another_case_is_not_gone_on_with(whole):
+    with pytest.raises(CaseFileError, match="this very case"):
+        resume_bed(mini(0.02), whole)
+
+
+def test_impossible_beds_are_refused_before_anything_is_written(tmp_path):
+    scene = mini(0.01)
+    small = replace(scene, column=replace(scene.column, cells=(40, 8, 120)))
+    with pytest.raises(CaseFileError, match="cell"):
+        plan_checked(small, ("linear",))
+    with pytest.raises(CaseFileError):
+        run_bed(small, tmp_path / "no", transport="restart")
+    assert not (tmp_path / "no").exists()
+
+
+def test_a_killed_gas_solver_is_a_failed_run_and_leaves_nothing(tmp_path):
+    if find() is None:
+        pytest.skip("the adapter of the live transport is not built: kncal adapter build")
+    scene = mini(1.0)
+    folder = tmp_path / "linear"
+    folder.mkdir()
+    killed: list[int] = []
+
+    def kill(done: int, _: int) -> None:
+        if done == 3:
+            for pid in _children("DPMFoam"):
+                os.kill(pid, signal.SIGKILL)
+                killed.append(pid)
+
+    from kncal.bed.packing import lattice
+
+    started = time.monotonic()
+    result = Coupled("live").run(plan_bed(scene)["linear"], folder, lattice(scene), progress=kill)
+    assert killed
+    assert result.status == "failed"
+    assert "DPMFoam" in result.message
+    assert time.monotonic() - started < 60.0
+    assert _children("DPMFoam") == []
+    assert _children("python") == []
+
+
+def test_the_command_line_compares_a_bed(tmp_path):
+    case = tmp_path / "case.toml"
+    case.write_text(dump_case(mini(0.01)))
+    command = [sys.executable, "-m", "kncal", "compare", str(case), "--out", str(tmp_path / "out"), "--json"]
+    done = subprocess.run([*command, "--transport", "restart"], capture_output=True, text=True, check=False)
+    assert done.returncode in (0, 1), done.stderr
+    data = json.loads(done.stdout)
+    assert Path(data["report"]).is_file()
+    assert (tmp_path / "out" / "linear" / "series.csv").is_file()
+
+
+def _children(name: str) -> list[int]:
+    found = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            before, after = path.read_text().rsplit(")", 1)
+        except OSError:
+            continue
+        state, parent = after.split()[:2]
+        if int(parent) == os.getpid() and name in before and state != "Z":
+            found.append(int(path.parent.name))
+    return found
