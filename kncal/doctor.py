@@ -84,6 +84,11 @@ def examine() -> list[Finding]:
     ]
 
 
+def solver_findings() -> tuple[Finding, Finding]:
+    """Look for LIGGGHTS and OpenFOAM only."""
+    return _liggghts(), _openfoam()
+
+
 def _python() -> Finding:
     ok = sys.version_info >= (3, 11)
     return Finding(

@@ -22,6 +22,8 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from kncal import __version__
+from kncal.bed.model import BedModel
+from kncal.bed.scene import BedScene
 from kncal.case_file import dump_case, load_case
 from kncal.engines.base import FRAMES, Profile, RunResult
 from kncal.errors import ReadError, RenderError, RunError
@@ -31,6 +33,8 @@ from kncal.model import Model
 from kncal.scene import Scene
 
 MANIFEST, RESULT, CASE = "manifest.json", "result.json", "case.toml"
+#: What a bed run leaves for its numbers, as ``particles.dump`` of a single contact.
+SERIES = "series.csv"
 
 
 def sha256(path: Path) -> str:
@@ -40,7 +44,7 @@ def sha256(path: Path) -> str:
 
 
 @contextmanager
-def case_folder(scene: Scene, out: Path) -> Iterator[int]:
+def case_folder(scene: Scene | BedScene, out: Path) -> Iterator[int]:
     """Make ``out`` ready for ``scene`` and hold it (see `kncal.lock`): gives the lock's descriptor for the solver.
 
     What an earlier run left there is moved to ``attempt-N``.
@@ -86,7 +90,9 @@ def _move_aside(out: Path) -> None:
         shutil.move(path, attempt / path.name)
 
 
-def write_model_manifest(model: Model, folder: Path, profile: Profile, command: list[str]) -> None:
+def write_model_manifest(
+    model: Model | BedModel, folder: Path, profile: Profile, command: list[str], *, steps: int, t_end: float
+) -> None:
     """Write ``manifest.json`` of one model's folder: what was rendered, for which solver, by which kncal."""
     files = {p.name: sha256(p) for p in sorted(folder.iterdir()) if p.is_file() and p.name != MANIFEST}
     write_json(
@@ -108,8 +114,8 @@ def write_model_manifest(model: Model, folder: Path, profile: Profile, command: 
             "python": platform.python_version(),
             "platform": platform.platform(),
             "dt": model.dt,
-            "steps": model.n_steps,
-            "t_end": model.t_end,
+            "steps": steps,
+            "t_end": t_end,
             "contacts": {
                 f"{a}–{b}": {k: v for k, v in asdict(c).items() if v is not None}
                 for (a, b), c in model.contacts.items()
@@ -132,7 +138,7 @@ def write_result(result: RunResult) -> None:
     log = result.log.name if result.log else ""
     data |= {"folder": result.folder.name, "log": log}
     try:
-        output = [path for name in (FRAMES, log) if name and (path := result.folder / name).is_file()]
+        output = [path for name in (FRAMES, SERIES, log) if name and (path := result.folder / name).is_file()]
         files = {path.name: sha256(path) for path in output}
         write_json(result.folder / RESULT, data | {"files_sha256": files, "ended": _now()})
     except OSError as error:
@@ -156,8 +162,9 @@ def read_result(folder: Path) -> RunResult:
             raise ReadError(f"{folder / name}: not there, though the run wrote it; run the case again")
         if sha256(folder / name) != digest:
             raise ReadError(f"{folder / name}: changed since the run ended; run the case again")
-    if record.status == "completed" and FRAMES not in record.files_sha256:
-        raise ReadError(f"{path}: files_sha256 names no {FRAMES}, expected it of a completed run")
+    needed = SERIES if record.engine == "coupled" else FRAMES
+    if record.status == "completed" and needed not in record.files_sha256:
+        raise ReadError(f"{path}: files_sha256 names no {needed}, expected it of a completed run")
     data = record.model_dump(exclude={"ended", "files_sha256", "folder", "log"})
     return RunResult(**data, folder=folder, log=folder / record.log if record.log else None)
 
@@ -176,7 +183,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     return _parse(_Manifest, path).model_dump()
 
 
-def read_model_folder(folder: Path) -> tuple[Scene, str, str]:
+def read_model_folder(folder: Path) -> tuple[Scene | BedScene, str, str]:
     """Return (scene, kind, engine name) of one model's folder, e.g. ``runs/wall_impact/hertz``.
 
     Raises

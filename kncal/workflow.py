@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from kncal.bed.scene import BedScene
 from kncal.checks import in_range, one_of, positive
 from kncal.compare import Comparison, RunData
 from kncal.engines.base import Engine, Progress, RunResult, run_result
@@ -80,7 +81,8 @@ def _rendered(
         with case_folder(scene, out) as lock:
             for kind, model in models.items():
                 shutil.copytree(draft / kind, out / kind)
-                write_model_manifest(model, out / kind, profile, list(engine.command(model)))
+                command = list(engine.command(model))
+                write_model_manifest(model, out / kind, profile, command, steps=model.n_steps, t_end=model.t_end)
             yield models, lock
 
 
@@ -169,6 +171,8 @@ def load_run(folder: Path) -> RunData:
         If the run did not complete.
     """
     scene, kind, engine_name = read_model_folder(folder)
+    if isinstance(scene, BedScene):
+        raise ReadError(f"{folder}: the run of a bed, expected that of a single contact")
     result = read_result(folder)
     require_completed([result])
     model = plan(scene, (kind,))[kind]

@@ -13,7 +13,7 @@ import sys
 from cyclopts import App, CycloptsError
 
 from kncal import __version__
-from kncal.cli import calibrate, cases, runs, show
+from kncal.cli import beds, calibrate, cases, runs, show
 from kncal.errors import InterruptedRunError, KncalError, RunError, SolverMissingError
 
 OK, OUTSIDE, USAGE, FAILED, MISSING, INTERRUPTED = 0, 1, 2, 3, 4, 130
@@ -40,6 +40,7 @@ app.command(runs.run)
 app.command(runs.compare)
 app.command(runs.report)
 app.command(cases.doctor)
+app.command(beds.adapter)
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -70,10 +70,10 @@ def kn(
 
 
 def _kn_case(case: str, options: dict[str, Any], steps: float, *, json: bool) -> None:
-    from kncal.case_file import load_case
+    from kncal.case_file import load_scene
     from kncal.planning import pair_choice, pair_of
 
-    scene = load_case(case)
+    scene = load_scene(case)
     result: dict[str, dict[str, Any]] = {}
     for a, b in scene.body_pairs():
         e_n, _, v_0, k_n = pair_choice(scene, a, b)

@@ -64,10 +64,13 @@ def needs(case: str, *, json: Json = False) -> None:
     case
         A shipped case's name, a case folder or a case.toml.
     """
+    from kncal.bed.needs import decide as decide_bed
+    from kncal.bed.scene import BedScene
     from kncal.case_file import load_case
     from kncal.needs import decide
 
-    frame = decide(load_case(case)).to_frame()
+    scene = load_case(case)
+    frame = (decide_bed(scene) if isinstance(scene, BedScene) else decide(scene)).to_frame()
     if json:
         show.as_json(frame.to_dict(orient="records"))
         return

@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from kncal.cli import show
+from kncal.cli.beds import Resume, Transport, compare_bed, print_bed_results, run_bed
 from kncal.errors import InputError
 
 if TYPE_CHECKING:
+    from kncal.bed.scene import BedScene
     from kncal.compare import Comparison, RunData
     from kncal.model import Model
     from kncal.scene import Scene
@@ -59,6 +61,8 @@ def run(
     out: Out = None,
     timeout: Timeout = None,
     paraview: ParaView = False,
+    transport: Transport = "auto",
+    resume: Resume = False,
     json: Json = False,
 ) -> None:
     """Render and run CASE, and print what was observed.
@@ -71,8 +75,13 @@ def run(
     from kncal.metrics import metric_unit
     from kncal.workflow import load_run
 
-    scene, folder = _scene(case, out)
+    bed, folder = _bed(case, out)
     kinds = _kinds(model)
+    if bed is not None:
+        results = run_bed(bed, folder, kinds, transport, timeout, resume=resume)
+        print_bed_results(bed, folder, results, json=json)
+        return
+    scene, folder = _scene(case, out)
     _run(scene, engine, folder, kinds, timeout)
     runs = {kind: load_run(folder / kind) for kind in kinds}
     _export(runs.values(), paraview)
@@ -113,6 +122,8 @@ def compare(
     timeout: Timeout = None,
     repeat: Annotated[int, Parameter(help="how often each model is run, for the spread of the CPU time")] = 1,
     paraview: ParaView = False,
+    transport: Transport = "auto",
+    resume: Resume = False,
     json: Json = False,
 ) -> int:
     """Run CASE with the linear and the Hertz contact and compare; exit code 0 within the tolerances, 1 outside.
@@ -134,6 +145,10 @@ def compare(
     else:
         if repeat < 1:
             raise InputError(f"--repeat = {repeat}: expected at least 1")
+        bed, folder = _bed(first, out)
+        if bed is not None:
+            run_bed(bed, folder, ("linear", "hertz"), transport, timeout, resume=resume)
+            return compare_bed(folder, folder / "report", json=json)
         scene, folder = _scene(first, out)
         _run(scene, engine, folder, ("linear", "hertz"), timeout, repeat)
         linear, hertz = load_both(folder)
@@ -149,7 +164,7 @@ def compare(
     return 0 if comparison.within else 1
 
 
-def report(folder: Path, *, out: Annotated[Path | None, Parameter(name="--out")] = None) -> None:
+def report(folder: Path, *, out: Annotated[Path | None, Parameter(name="--out")] = None) -> int:
     """Write the report of a run folder that holds both models.
 
     Parameters
@@ -162,15 +177,36 @@ def report(folder: Path, *, out: Annotated[Path | None, Parameter(name="--out")]
     from kncal.compare import compare as compare_runs
     from kncal.workflow import complete, load_both
 
+    if _is_bed(folder):
+        compare_bed(folder, out or folder / "report", json=False)
+        return 0
     linear, hertz = load_both(folder)
     comparison = compare_runs(complete(linear), complete(hertz))
     show.say(f"report: {_report(comparison, out or folder / 'report')}")
+    return 0
 
 
-def _scene(case: str, out: Path | None) -> tuple[Scene, Path]:
+def _bed(case: str, out: Path | None) -> tuple[BedScene | None, Path]:
+    """Return the bed that ``case`` is (None for a case of single contacts) and its run folder."""
+    from kncal.bed.scene import BedScene
     from kncal.case_file import load_case
 
     scene = load_case(case)
+    return scene if isinstance(scene, BedScene) else None, out if out is not None else Path("runs") / scene.name
+
+
+def _is_bed(folder: Path) -> bool:
+    from kncal.bed.scene import BedScene
+    from kncal.folder import read_model_folder
+
+    model = folder / "linear"
+    return (model / "manifest.json").is_file() and isinstance(read_model_folder(model)[0], BedScene)
+
+
+def _scene(case: str, out: Path | None) -> tuple[Scene, Path]:
+    from kncal.case_file import load_scene
+
+    scene = load_scene(case)
     return scene, out if out is not None else Path("runs") / scene.name
 
 

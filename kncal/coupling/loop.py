@@ -1,0 +1,205 @@
+"""The exchange loop: gas step, force, particle steps, and again; with invariants, frames and checkpoints.
+
+Per coupling interval: positions and velocities go to the gas, the gas makes one step and gives a force for each
+particle, the particles run with that force held. Nothing here knows which transport or which solver is at work.
+"""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from kncal.bed.model import BedModel
+from kncal.bed.series import SeriesWriter, bed_facts
+from kncal.checks import Array
+from kncal.coupling.base import Dem, GasSetup, GasStep, GasTransport
+from kncal.errors import ReadError, RunError
+from kncal.io.tables import read_json, write_json
+
+#: Momentum booked on particles and on the gas may differ by this share of the bed's weight: rounding only.
+REACTION_LIMIT = 1e-10
+#: Momentum that the gas received and no particle was given, as a share of the weight.
+NOT_PASSED_LIMIT = 1e-3
+#: Seconds of wall time between checkpoints.
+CHECKPOINT_SECONDS = 60.0
+
+#: Called after each coupling with (couplings done, couplings in all).
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CoupledCost:
+    """What a coupled run cost.
+
+    Attributes
+    ----------
+    couplings : done in this run
+    dem, gas, exchange : CPU seconds of LIGGGHTS, of DPMFoam, and of this process (everything else)
+    wall : wall-clock seconds
+    """
+
+    couplings: int
+    dem: float
+    gas: float
+    exchange: float
+    wall: float
+
+
+def gas_setup(model: BedModel) -> GasSetup | None:
+    """Return what the gas side needs to know, None for a bed without gas."""
+    scene, gas = model.scene, model.scene.gas
+    if gas is None:
+        return None
+    column = scene.column
+    return GasSetup(
+        size=(column.width, column.depth, column.height),
+        cells=column.cells,
+        inlet=gas.inlet_at(0.0),
+        jet=gas.jet,
+        density=gas.density,
+        viscosity=gas.viscosity,
+        gravity=scene.gravity,
+        step=model.coupling,
+        drag=gas.drag,
+        walls=column.gas_walls,
+        front_back=column.front_back,
+        parcels_per_particle=gas.parcels_per_particle,
+    )
+
+
+class CoupledRun:
+    """One bed at work.
+
+    Parameters
+    ----------
+    model : BedModel
+    folder : Path
+        Gets ``series/`` (see `kncal.bed.series`) and ``checkpoint/``.
+    gas : GasTransport, or None for a bed without gas
+    dem : Dem, or None for frozen particles
+    positions : (n, 3) [m], of frozen particles; not used with ``dem``
+    first : number of couplings done already (continuing from a checkpoint)
+    histogram_edges : (bins + 1,) [m]
+    """
+
+    def __init__(
+        self,
+        model: BedModel,
+        folder: Path,
+        gas: GasTransport | None,
+        dem: Dem | None,
+        *,
+        positions: Array,
+        histogram_edges: Array,
+        first: int = 0,
+    ) -> None:
+        self.model, self.folder, self.gas, self.dem = model, folder, gas, dem
+        self._frozen = (positions, np.zeros_like(positions))
+        self._first = first
+        self._edges = histogram_edges
+        particles = model.scene.particles
+        self._diameter = np.full(particles.count, particles.diameter)
+        self._density = np.full(particles.count, float(particles.material.density))
+        mass = self._density * np.pi / 6.0 * self._diameter**3
+        self._weight = float(mass.sum()) * model.scene.gravity
+
+    def run(self, progress: Progress | None = None, *, time_limit: float | None = None) -> CoupledCost:
+        """Run to the end of the model, or raise.
+
+        Raises
+        ------
+        RunError
+            If a solver ends, hangs, loses a particle or a parcel, or an invariant is broken; what was computed before
+            is on disk.
+        TimeoutError
+            If ``time_limit`` [s] is over; the last checkpoint is kept.
+        """
+        model, started, cpu = self.model, time.monotonic(), time.process_time()
+        saved = started
+        with SeriesWriter(self.folder / "series", bed_facts(model, self._edges)) as series:
+            x, v = self._state()
+            if self._first == 0 and self.gas is None:
+                series.frame(0, x, v, None)  # with gas there are no fields before the first step
+            for number in range(self._first + 1, model.couplings + 1):
+                inlet = 0.0 if model.scene.gas is None else model.scene.gas.inlet_at((number - 0.5) * model.coupling)
+                gas_step = self._gas_step(x, v, inlet, number)
+                force = np.zeros_like(x) if gas_step is None else gas_step.force
+                dem_step = None if self.dem is None else self.dem.run(model.steps_per_coupling, force)
+                x, v = self._state()
+                series.add(number, inlet, gas_step, dem_step, x, v)
+                if number % model.frames_every == 0:
+                    series.frame(number, x, v, None if self.gas is None else self.gas.fields())
+                if progress is not None:
+                    progress(number, model.couplings)
+                now = time.monotonic()
+                if now - saved > CHECKPOINT_SECONDS:
+                    series.flush()
+                    self._checkpoint(number)
+                    saved = now
+                if time_limit is not None and now - started > time_limit:
+                    series.flush()
+                    self._checkpoint(number)
+                    raise TimeoutError(
+                        f"stopped after coupling {number} of {model.couplings}: {time_limit:g} s are over"
+                    )
+        return CoupledCost(
+            couplings=model.couplings - self._first,
+            dem=0.0 if self.dem is None else self.dem.cpu_seconds,
+            gas=0.0 if self.gas is None else self.gas.cpu_seconds,
+            exchange=time.process_time() - cpu,
+            wall=time.monotonic() - started,
+        )
+
+    def _state(self) -> tuple[Array, Array]:
+        return self._frozen if self.dem is None else self.dem.state()
+
+    def _gas_step(self, x: Array, v: Array, inlet: float, number: int) -> GasStep | None:
+        if self.gas is None:
+            return None
+        gas = self.model.scene.gas
+        if gas is not None and gas.ramp:
+            self.gas.set_inlet(inlet)
+        step = self.gas.step(x, v, self._diameter, self._density)
+        for name, value, limit in (
+            ("reaction error", step.reaction_error, REACTION_LIMIT),
+            ("momentum not passed on", step.not_passed, NOT_PASSED_LIMIT),
+        ):
+            if self._weight > 0.0 and value > limit * self._weight:
+                raise RunError(
+                    f"coupling {number}: {name} {value / self._weight:.3g} of the bed's weight, expected at most "
+                    f"{limit:g}: particles move too far in one gas step; take a smaller run.coupling or larger cells"
+                )
+        return step
+
+    def _checkpoint(self, number: int) -> None:
+        """Write the state after coupling ``number``; the old checkpoint goes only when the new one is whole."""
+        new = self.folder / f"checkpoint-{number}"
+        if new.exists():
+            shutil.rmtree(new)
+        new.mkdir(parents=True)
+        if self.gas is not None:
+            self.gas.save(new / "gas")
+        if self.dem is not None:
+            self.dem.save(new / "particles")
+        write_json(new / "checkpoint.json", {"coupling": number})
+        for old in self.folder.glob("checkpoint-*"):
+            if old != new:
+                shutil.rmtree(old)
+
+
+def last_checkpoint(folder: Path) -> tuple[int, Path] | None:
+    """Return (couplings done, folder) of the newest whole checkpoint of a run, None if there is none."""
+    found: list[tuple[int, Path]] = []
+    for path in folder.glob("checkpoint-*"):
+        if not (path / "checkpoint.json").is_file():
+            continue  # a run was stopped while it was being written
+        data = read_json(path / "checkpoint.json")
+        if not isinstance(data, dict) or not isinstance(data.get("coupling"), int):
+            raise ReadError(f"{path / 'checkpoint.json'}: expected a whole number 'coupling'")
+        found.append((data["coupling"], path))
+    return max(found, default=None)

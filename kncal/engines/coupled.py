@@ -1,0 +1,173 @@
+"""The engine coupled: DPMFoam and LIGGGHTS together, two transports to the gas, one exchange loop."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from pathlib import Path
+from typing import Any
+
+from kncal import __version__
+from kncal.bed.model import BedModel
+from kncal.checks import Array, one_of
+from kncal.coupling.base import GasTransport
+from kncal.coupling.loop import CoupledCost, CoupledRun, Progress, gas_setup, last_checkpoint
+from kncal.engines.base import Profile, RunResult
+from kncal.errors import KncalError, SolverMissingError
+
+TRANSPORTS = ("auto", "live", "restart")
+GAS, PARTICLES = "gas", "particles"
+
+
+def choose_transport(wanted: str) -> tuple[str, Path | None]:
+    """Return (transport, adapter library): "auto" is live where the adapter is built, else restart.
+
+    Raises
+    ------
+    InputError
+        For an unknown name.
+    AdapterError
+        If live is asked for and the adapter is not built.
+    """
+    one_of("transport", wanted, TRANSPORTS)
+    if wanted == "restart":
+        return wanted, None
+    from kncal.coupling.adapter_build import AdapterError, find
+
+    library = find()
+    if library is None and wanted == "live":
+        raise AdapterError(
+            "the adapter of the live transport is not built: kncal adapter build, or --transport restart"
+        )
+    return ("live", library) if library is not None else ("restart", None)
+
+
+class Coupled:
+    """One bed by Debian's LIGGGHTS and OpenFOAM.
+
+    Parameters
+    ----------
+    transport : "auto", "live" or "restart"
+    """
+
+    name = "coupled"
+
+    def __init__(self, transport: str = "auto") -> None:
+        self.transport, self._library = choose_transport(transport)
+
+    def profile(self) -> Profile:
+        """Look for both solvers on this machine."""
+        from kncal.doctor import solver_findings
+
+        liggghts, openfoam = solver_findings()
+        missing = [f"{f.name} ({f.hint})" for f in (liggghts, openfoam) if not f.ok]
+        program = shutil.which("DPMFoam")
+        return Profile(
+            engine=self.name,
+            program=None if missing or program is None else Path(program),
+            version=f"LIGGGHTS {liggghts.found}; OpenFOAM {openfoam.found}",
+            problem="" if not missing else f"a coupled bed needs {' and '.join(missing)}",
+        )
+
+    def run(
+        self,
+        model: BedModel,
+        folder: Path,
+        positions: Array,
+        *,
+        timeout: float | None = None,
+        progress: Progress | None = None,
+        resume: bool = False,
+    ) -> RunResult:
+        """Run ``model`` in ``folder``; never raises for a failed run, the status says so.
+
+        With ``resume`` the run goes on from its last complete checkpoint (from the start if there is none).
+        """
+        started = time.monotonic()
+        status, message = "completed", ""
+        extra: dict[str, Any] = {"transport": self.transport if model.scene.gas else "none"}
+        cpu = 0.0
+        try:
+            cost = self._couple(model, folder, positions, timeout, progress, resume)
+            cpu = cost.dem + cost.gas + cost.exchange
+            extra |= {
+                "couplings": cost.couplings,
+                "cpu_dem": cost.dem,
+                "cpu_gas": cost.gas,
+                "cpu_exchange": cost.exchange,
+            }
+        except SolverMissingError as error:
+            status, message = "not_installed", str(error)
+        except KeyboardInterrupt:
+            status, message = "interrupted", "interrupted by the user"
+        except TimeoutError as error:
+            status, message = "timed_out", str(error)
+        except (KncalError, OSError) as error:
+            status, message = "failed", str(error)
+        return RunResult(
+            status=status,
+            engine=self.name,
+            model=model.kind,
+            folder=folder,
+            steps=model.couplings * model.steps_per_coupling,
+            dt=model.dt,
+            cpu_seconds=cpu,
+            wall_seconds=time.monotonic() - started,
+            version=__version__,
+            message=message,
+            extra=extra,
+        )
+
+    def _couple(
+        self,
+        model: BedModel,
+        folder: Path,
+        positions: Array,
+        timeout: float | None,
+        progress: Progress | None,
+        resume: bool,
+    ) -> CoupledCost:
+        from kncal.coupling.dem import LiggghtsDem
+        from kncal.coupling.dem_child import histogram_edges
+
+        frozen = model.scene.particles.frozen or model.scene.particles.count == 0
+        checkpoint = last_checkpoint(folder) if resume else None
+        first, state = (0, None) if checkpoint is None else checkpoint
+        for name in (GAS, PARTICLES):
+            _set_aside(folder / name)
+        gas = dem = None
+        try:
+            if (gas := self._gas(model, folder)) is not None and state is not None:
+                gas.load(state / GAS)
+            if not frozen:
+                at = None if state is None else state / PARTICLES
+                dem = LiggghtsDem(model, folder / PARTICLES, None if at else positions, restart=at)
+            edges = histogram_edges(model.scene.particles.diameter)
+            run = CoupledRun(model, folder, gas, dem, positions=positions, histogram_edges=edges, first=first)
+            return run.run(progress, time_limit=timeout)
+        finally:
+            for side in (gas, dem):
+                if side is not None:
+                    side.close()
+
+    def _gas(self, model: BedModel, folder: Path) -> GasTransport | None:
+        setup = gas_setup(model)
+        if setup is None:
+            return None
+        if self.transport == "live" and self._library is not None:
+            from kncal.coupling.live import LiveGas
+
+            return LiveGas(setup, folder / GAS, self._library, model.scene.particles.count)
+        from kncal.coupling.restart import RestartGas
+
+        return RestartGas(setup, folder / GAS)
+
+
+def _set_aside(folder: Path) -> None:
+    """Rename what an earlier part of this run left (its logs tell why it ended) to ``<name>-1``, ``-2``, ..."""
+    if not folder.exists():
+        return
+    number = 1
+    while (aside := folder.with_name(f"{folder.name}-{number}")).exists():
+        number += 1
+    folder.rename(aside)
