@@ -26,7 +26,15 @@ if TYPE_CHECKING:
     from kncal.impact import DimensionlessImpact, dimensionless_impact
     from kncal.material import Material, Pair, pair, wall_pair
     from kncal.matrix import PairMatrix, calibrate_matrix
-    from kncal.timestep import TimeStepAdvice, advise_time_step, predict_error
+    from kncal.timestep import (
+        TimeStepAdvice,
+        advise_time_step,
+        contact_time,
+        hertz_time,
+        predict_error,
+        rayleigh_time,
+        verlet_limit,
+    )
 
 _HOME = {
     "kncal.calibration": ("Calibration", "calibrate"),
@@ -44,7 +52,15 @@ _HOME = {
     "kncal.impact": ("DimensionlessImpact", "dimensionless_impact"),
     "kncal.material": ("Material", "Pair", "pair", "wall_pair"),
     "kncal.matrix": ("PairMatrix", "calibrate_matrix"),
-    "kncal.timestep": ("TimeStepAdvice", "advise_time_step", "predict_error"),
+    "kncal.timestep": (
+        "TimeStepAdvice",
+        "advise_time_step",
+        "contact_time",
+        "hertz_time",
+        "predict_error",
+        "rayleigh_time",
+        "verlet_limit",
+    ),
 }
 _WHERE = {name: module for module, names in _HOME.items() for name in names}
 
@@ -67,10 +83,14 @@ __all__ = [
     "advise_time_step",
     "calibrate",
     "calibrate_matrix",
+    "contact_time",
     "dimensionless_impact",
+    "hertz_time",
     "load_case",
     "pair",
     "predict_error",
+    "rayleigh_time",
+    "verlet_limit",
     "wall_pair",
 ]
 
