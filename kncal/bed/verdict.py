@@ -139,9 +139,10 @@ def _undecided(rows: Sequence[BedRow]) -> list[str]:
 def _differences(rows: Sequence[BedRow]) -> str:
     known = [r for r in rows if r.significant is not None and r.linear is not None]
     names = [r.metric for r in rows if r.significant]
-    seen = f"larger than their uncertainty: {', '.join(names)}" if names else "none is larger than its uncertainty"
+    larger = f"Differences larger than their uncertainty: {', '.join(names)}"
+    seen = larger if names else "No difference is larger than its uncertainty"
     return (
-        f"Differences {seen}. Of {len(known)} quantities about {called_by_chance(rows):.1f} would be called different"
+        f"{seen}. Of {len(known)} quantities about {called_by_chance(rows):.1f} would be called different"
         " by chance alone; where no difference is seen, one up to the uncertainty may still be there."
     )
 
