@@ -101,6 +101,10 @@ def test_kn_of_a_case(capsys):
         (["frobnicate"], "frobnicate"),
         ([*KN, "--against", "wall", "--radius-2", "1e-3"], "flat"),
         (["report", "nowhere"], "nowhere"),
+        (["run", "bubbling_bed_mini", "--engine", "builtin"], "--engine has no meaning for a bed"),
+        (["compare", "bubbling_bed_mini", "--repeat", "3"], "--repeat has no meaning for a bed"),
+        (["run", "wall_impact", "--resume"], "--resume has no meaning"),
+        (["compare", "wall_impact", "--transport", "live"], "--transport has no meaning"),
     ],
 )
 def test_bad_usage_is_exit_code_2_and_says_what(capsys, arguments, words):

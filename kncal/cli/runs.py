@@ -77,6 +77,7 @@ def run(
 
     bed, folder = _bed(case, out)
     kinds = _kinds(model)
+    _refuse_ignored(bed, engine=engine != "liggghts", paraview=paraview, transport=transport != "auto", resume=resume)
     if bed is not None:
         results = run_bed(bed, folder, kinds, transport, timeout, resume=resume)
         print_bed_results(bed, folder, results, json=json)
@@ -146,6 +147,14 @@ def compare(
         if repeat < 1:
             raise InputError(f"--repeat = {repeat}: expected at least 1")
         bed, folder = _bed(first, out)
+        _refuse_ignored(
+            bed,
+            engine=engine != "liggghts",
+            paraview=paraview,
+            repeat=repeat > 1,
+            transport=transport != "auto",
+            resume=resume,
+        )
         if bed is not None:
             run_bed(bed, folder, ("linear", "hertz"), transport, timeout, resume=resume)
             return compare_bed(folder, folder / "report", json=json)
@@ -193,6 +202,15 @@ def _bed(case: str, out: Path | None) -> tuple[BedScene | None, Path]:
 
     scene = load_case(case)
     return scene if isinstance(scene, BedScene) else None, out if out is not None else Path("runs") / scene.name
+
+
+def _refuse_ignored(bed: BedScene | None, **given: bool) -> None:
+    """Refuse a flag that the kind of case at hand would pass over in silence."""
+    others = ("transport", "resume") if bed is None else ("engine", "paraview", "repeat")
+    for name in others:
+        if given.get(name):
+            kind = "a case of single contacts" if bed is None else "a bed"
+            raise InputError(f"--{name} has no meaning for {kind}: leave it out")
 
 
 def _is_bed(folder: Path) -> bool:
