@@ -128,7 +128,7 @@ def test_predicted_error_agrees_with_published_error_table():
         # the published runs last a whole number of steps; the prediction also looks half a step to either side
         assert worst_e <= predicted.worst["e_n"] * e * 1.02 <= 2.2 * worst_e
         if mean_e is not None:
-            assert predicted.mean["e_n"] * e == pytest.approx(mean_e, rel=0.6)
+            assert predicted.mean["e_n"] * e == pytest.approx(mean_e, rel=0.2)
 
 
 @pytest.mark.parametrize("n", [0.5, 0.0, float("nan"), -5])
