@@ -152,6 +152,11 @@ def _run(case: BedTable) -> Iterator[Problem]:
     run = case.run
     if run.coupling > run.end_time:
         yield ("run", "coupling"), f"coupling = {run.coupling:g}: expected at most end_time, {run.end_time:g} s"
+    if run.gas_step is not None and run.gas_step > run.coupling * (1.0 + 1e-9):
+        yield (
+            ("run", "gas_step"),
+            f"gas_step = {run.gas_step:g}: expected at most the coupling interval, {run.coupling:g} s",
+        )
     if run.discard is not None and run.discard >= run.end_time:
         yield ("run", "discard"), f"discard = {run.discard:g}: expected less than end_time, {run.end_time:g} s"
     if case.gravity == 0.0 and case.particles.packing == "settled" and case.particles.count:

@@ -1,8 +1,8 @@
 """What the solvers and the physics of a bed can't do: found before a run, refused or said; nothing is changed.
 
 Where a bound rests on an estimate (speeds, voidage), the message says so. Bounds without a source here are those of
-the coupled algorithm: one gas step per coupling interval, void fraction from particle centres, constant gas force on a
-particle during the interval.
+the coupled algorithm: void fraction from particle centres, constant gas force on a particle during the coupling
+interval.
 """
 
 from __future__ import annotations
@@ -218,14 +218,14 @@ def _courant(model: BedModel, gas: Gas, eps: float) -> Iterator[Finding]:
     scene = model.scene
     speed, place = _fastest_gas(scene, gas, eps)
     h = scene.column.height / scene.column.cells[2]
-    courant = speed * model.coupling / h
+    courant = speed * model.gas_step / h
     if courant > COURANT_LARGE:
         level: Literal["refuse", "warn"] = "refuse" if courant > COURANT_LARGEST else "warn"
         yield Finding(
             "courant",
             level,
             f"Courant number of the gas step about {courant:.3g}, from {speed:.3g} m/s in {place}: expected below "
-            f"{COURANT_LARGE:g} (refused above {COURANT_LARGEST:g}); run.coupling = {COURANT_LARGE * h / speed:.2g} s "
+            f"{COURANT_LARGE:g} (refused above {COURANT_LARGEST:g}); run.gas_step = {COURANT_LARGE * h / speed:.2g} s "
             "would do",
         )
 

@@ -20,7 +20,8 @@ class BedModel:
     contacts : ("particles", "particles") and ("particles", "walls") -> PairContact (see `kncal.model`)
     dt : DEM step [s]
     steps_per_coupling : DEM steps per coupling interval
-    coupling : coupling interval = gas step [s], exactly ``steps_per_coupling * dt``
+    coupling : coupling interval [s], exactly ``steps_per_coupling * dt``
+    gas_steps : gas steps per coupling interval
     couplings : number of couplings in the run
     frames_every : couplings between recorded frames
     """
@@ -33,3 +34,9 @@ class BedModel:
     coupling: float
     couplings: int
     frames_every: int
+    gas_steps: int = 1
+
+    @property
+    def gas_step(self) -> float:
+        """Time step of the gas [s]."""
+        return self.coupling / self.gas_steps

@@ -33,7 +33,8 @@ def plan_bed(scene: BedScene, kinds: Iterable[str] = KINDS) -> dict[str, BedMode
     """Return the models of a bed by kind.
 
     The DEM step is the shortest contact duration over ``steps_per_contact`` (of each model by itself), but no longer
-    than the coupling interval; the coupling interval is the largest whole number of DEM steps in ``run.coupling``.
+    than the coupling interval; the coupling interval is the largest whole number of DEM steps in ``run.coupling``, and
+    is cut into as few gas steps as ``run.gas_step`` allows.
     A bed that LIGGGHTS has nothing to do for (gas only, or frozen particles whose positions are known) has no
     contacts, and one DEM step per coupling.
 
@@ -70,6 +71,7 @@ def _model(scene: BedScene, kind: str, needs: Needs) -> BedModel:
         coupling=coupling,
         couplings=couplings,
         frames_every=max(round(scene.run.frames_every / coupling), 1),
+        gas_steps=1 if (step := scene.run.gas_step) is None else max(math.ceil(coupling / step * (1.0 - 1e-9)), 1),
     )
 
 

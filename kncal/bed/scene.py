@@ -122,7 +122,8 @@ class BedRun:
     end_time : [s]
     discard : start-up left out of averages [s]; None: detected
     steps_per_contact : DEM steps per contact duration
-    coupling : coupling interval and gas step [s]; rounded down to a whole number of DEM steps of each model
+    coupling : coupling interval [s]; rounded down to a whole number of DEM steps of each model
+    gas_step : longest gas step [s]; None: one per coupling interval
     frames_every : time between recorded frames (particles and gas fields) [s]
     """
 
@@ -130,6 +131,7 @@ class BedRun:
     discard: float | None = None
     steps_per_contact: float = 50.0
     coupling: float
+    gas_step: float | None = None
     frames_every: float = 0.01
 
 

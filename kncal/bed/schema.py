@@ -87,7 +87,8 @@ class BedRunTable(Table):
     """``[run]`` of a bed."""
 
     end_time: Seconds = Field(description="end time [s]")
-    coupling: Seconds = Field(description="coupling interval and gas step [s]")
+    coupling: Seconds = Field(description="coupling interval [s]")
+    gas_step: Seconds | None = Field(None, description="longest gas step [s]; none: one per coupling interval")
     discard: Time | None = Field(None, description="start-up left out of averages [s]")
     steps_per_contact: Annotated[float, within(4.0, 1e6, hint="50 is usual")] = Field(
         50.0, description="steps per contact duration [-]"

@@ -1,6 +1,6 @@
 """The exchange loop: gas step, force, particle steps, and again; with invariants, frames and checkpoints.
 
-Per coupling interval: positions and velocities go to the gas, the gas makes one step and gives a force for each
+Per coupling interval: positions and velocities go to the gas, the gas makes its steps and gives a force for each
 particle, the particles run with that force held. Nothing here knows which transport or which solver is at work.
 """
 
@@ -18,6 +18,7 @@ from kncal.bed.model import BedModel
 from kncal.bed.series import SeriesWriter, bed_facts
 from kncal.checks import Array
 from kncal.coupling.base import Dem, GasSetup, GasStep, GasTransport
+from kncal.coupling.interval import gas_interval
 from kncal.errors import ReadError, RunError
 from kncal.io.tables import read_json, write_json
 
@@ -64,7 +65,7 @@ def gas_setup(model: BedModel) -> GasSetup | None:
         density=gas.density,
         viscosity=gas.viscosity,
         gravity=scene.gravity,
-        step=model.coupling,
+        step=model.gas_step,
         drag=gas.drag,
         walls=column.gas_walls,
         front_back=column.front_back,
@@ -164,7 +165,7 @@ class CoupledRun:
         gas = self.model.scene.gas
         if gas is not None and gas.ramp:
             self.gas.set_inlet(inlet)
-        step = self.gas.step(x, v, self._diameter, self._density)
+        step = gas_interval(self.gas, x, v, self._diameter, self._density, self.model.gas_steps)
         for name, value, limit in (
             ("reaction error", step.reaction_error, REACTION_LIMIT),
             ("momentum not passed on", step.not_passed, NOT_PASSED_LIMIT),

@@ -132,6 +132,7 @@ FAULTS = [
     ('between = ["particles", "walls"]', 'between = ["particles", "floor"]', "between = 'floor'", "between"),
     ("friction = 0.3", "", "changes nothing", None),
     ("coupling = 5e-4", "coupling = 1.0", "expected at most end_time, 0.5 s", "coupling"),
+    ("coupling = 5e-4", "coupling = 5e-4\ngas_step = 1e-3", "expected at most the coupling interval", "gas_step"),
     ("coupling = 5e-4", "coupling = 5e-4\ndiscard = 0.5", "expected less than end_time", "discard"),
     ("coupling = 5e-4", "coupling = 5e-4\nuntil_time = 1.0", "unknown key", "until_time"),
     ("gravity = 9.8", "gravity = [0.0, 0.0, -9.8]", "expected a number", "gravity"),

@@ -196,3 +196,15 @@ def test_a_single_particle_touches_nothing_unless_it_gets_there():
     assert "contacts" in used(replace(one, run=replace(one.run, end_time=2.0)))  # falls 57 mm/s, has 92 mm
     blown = replace(one, gas=replace(one.gas, U_0=0.52))
     assert "contacts" in used(blown)  # rises 22 mm, has 7 mm
+
+
+@pytest.mark.parametrize(
+    ("gas_step", "steps"), [(None, 1), (5e-4, 1), (2.5e-4, 2), (2.4e-4, 3), (1e-4, 5), (1.3e-5, 39)]
+)
+def test_gas_steps_are_no_longer_than_asked_for_and_fill_the_interval(gas_step, steps):
+    model = plan_bed(replace(MINI, run=replace(MINI.run, coupling=5e-4, gas_step=gas_step)), ["linear"])["linear"]
+    assert model.gas_steps in (steps, steps - 1)  # the interval is rounded down to whole DEM steps
+    assert model.gas_step * model.gas_steps == pytest.approx(model.coupling, rel=1e-15)
+    if gas_step is not None:
+        assert model.gas_step <= gas_step * (1.0 + 1e-8)
+        assert model.gas_steps == 1 or model.coupling / (model.gas_steps - 1) > gas_step

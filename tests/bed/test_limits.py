@@ -100,10 +100,14 @@ def test_courant_number_of_the_jet_is_that_of_a_run():
     assert message(half, "courant").partition("from")[0] == message(JET, "courant").partition("from")[0]
 
 
-def test_the_interval_that_a_message_names_would_do():
+def test_the_gas_step_that_a_message_names_would_do():
     jet = message(JET, "courant")
-    named = float(jet.rpartition("run.coupling = ")[2].split()[0])
+    named = float(jet.rpartition("run.gas_step = ")[2].split()[0])
+    assert "courant" not in found(change(JET, "run", gas_step=0.99 * named))
     assert "courant" not in found(change(JET, "run", coupling=0.99 * named))
+    # the drag is held during the coupling interval, however short the gas step
+    lazy = change(JET, "run", coupling=9e-3)
+    assert found(lazy)["relaxation"] == found(change(lazy, "run", gas_step=1e-4))["relaxation"]
 
 
 def test_interval_against_the_relaxation_time():
