@@ -18,8 +18,8 @@ from kncal.checks import in_range, positive
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 NAME_EXPECTED = "expected a name of 1 to 64 letters, digits, '.', '_' or '-', starting with a letter or digit"
 
-#: More bodies than this are no scene of single contacts.
-MOST_PARTICLES, MOST_WALLS, MOST_PAIRS = 500, 50, 500
+#: More bodies than this are no scene of single contacts: each may touch each, and every pair is planned and observed.
+MOST_PARTICLES, MOST_WALLS, MOST_PAIRS = 100, 20, 200
 
 
 def _name(text: str) -> str:

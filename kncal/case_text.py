@@ -19,8 +19,13 @@ from kncal.resources import folder
 from kncal.scene import ContactChoice
 
 CASE = "case.toml"
-#: A case file larger than this is not read; 500 particles take about 100 kB.
+#: A case file larger than this is not read; 100 particles take about 20 kB, 4000 positions 200 kB.
 MOST_BYTES = 256 * 1024
+#: Tables or lists inside each other; no case file has more than five. Reading a.a.a... takes time by the square of it.
+DEEPEST = 16
+
+_KEY_PART = r"""(?:[A-Za-z0-9_-]++|"[^"\n]*+"|'[^'\n]*+')"""
+_DEEP_KEY = re.compile(rf"(?<![A-Za-z0-9_.-]){_KEY_PART}(?:[ \t]*+\.[ \t]*+{_KEY_PART}){{{DEEPEST},}}")
 
 
 class CaseText(NamedTuple):
@@ -99,8 +104,16 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
     """Return the tables of a TOML text; `CaseFileError` with file and line where it is none."""
     from kncal.case_messages import short
 
+    if deep := _DEEP_KEY.search(text):
+        line = text.count("\n", 0, deep.start()) + 1
+        raise CaseFileError(f"{where}, line {line}: {short(deep[0])}: expected keys of at most {DEEPEST} parts")
     try:
-        return tomllib.loads(text)
+        tables = tomllib.loads(text)
+        if _depth(tables) > DEEPEST:
+            raise CaseFileError(f"{where}: tables or lists more than {DEEPEST} deep: expected at most five")
+        return tables
+    except CaseFileError:
+        raise
     except tomllib.TOMLDecodeError as error:
         found = re.search(r"at line (\d+)", str(error))
         lines = text.splitlines()
@@ -110,6 +123,17 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
         raise CaseFileError(f"{where}, line {number}{shown}: {error}; {hint}") from error
     except (ValueError, RecursionError) as error:
         raise CaseFileError(f"{where}: {error}: expected TOML with plain numbers and short lists") from error
+
+
+def _depth(tables: object) -> int:
+    """Return how many tables and lists are inside each other, at most `DEEPEST` + 1."""
+    deepest, rest = 0, [(tables, 1)]
+    while rest and deepest <= DEEPEST:
+        value, depth = rest.pop()
+        inside = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+        rest += [(item, depth + 1) for item in inside if isinstance(item, (dict, list))]
+        deepest = max(deepest, depth)
+    return deepest
 
 
 def settings(thing: Any, skip: Iterable[str] = ()) -> dict[str, Any]:

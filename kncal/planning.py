@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -55,15 +55,18 @@ def calibration_of(scene: Scene, a: Particle, b: Particle | Wall) -> Calibration
     return calibration_for(scene.contact, pair_of(a, b), pair_choice(scene, a, b))
 
 
-def pair_choice(scene: Scene, a: Particle, b: Particle | Wall) -> PairNumbers:
+def pair_choice(
+    scene: Scene, a: Particle, b: Particle | Wall, first_speed: Callable[[Scene], float | None] | None = None
+) -> PairNumbers:
     """Return the numbers of one pair: the scene's choice, or the first exception that names both bodies.
 
     v_0 is the speed of the scene's first impact where the case gives none, and None if nothing moves towards anything
-    and k_n is prescribed.
+    and k_n is prescribed. ``first_speed``: what knows that speed, by default `first_impact_speed`, which looks at
+    every pair.
     """
     numbers = numbers_of(scene.contact, scene.choice_for(a, b))
     if numbers.v_0 is None:
-        numbers = numbers._replace(v_0=first_impact_speed(scene))
+        numbers = numbers._replace(v_0=(first_speed or first_impact_speed)(scene))
         if numbers.v_0 is None and numbers.k_n is None:
             raise CaseFileError(f"{scene.name}: {_why_no_speed(scene)}")
     return numbers
@@ -91,7 +94,15 @@ def first_impact_speed(scene: Scene) -> float | None:
 
 
 def _model(scene: Scene, kind: str, needs: Needs) -> Model:
-    contacts = {(a.name, b.name): _contact(scene, a, b, kind) for a, b in scene.body_pairs()}
+    speeds: list[float | None] = []
+
+    def first_speed(scene: Scene) -> float | None:
+        # once for all pairs: with n bodies it costs n², and there are n² pairs
+        if not speeds:
+            speeds.append(first_impact_speed(scene))
+        return speeds[0]
+
+    contacts = {(a.name, b.name): _contact(scene, a, b, kind, first_speed) for a, b in scene.body_pairs()}
     uses = {name: needs.uses(name) for name in ("tangential", "rolling")}
     contacts = {names: smooth(c, **uses) for names, c in contacts.items()}
     shortest = min(c.t_c for c in contacts.values())
@@ -109,19 +120,23 @@ def _model(scene: Scene, kind: str, needs: Needs) -> Model:
 
 
 def _timed(model: Model, t_end: float) -> Model:
-    n_steps = math.ceil(t_end / model.dt * (1.0 - 1e-12))
+    number = t_end / model.dt * (1.0 - 1e-12)
+    n_steps = math.ceil(min(number, MOST_STEPS + 1.0))  # it may be infinite
     if n_steps > MOST_STEPS:
         raise CaseFileError(
-            f"{model.scene.name}: the {model.kind} model needs {n_steps:.3g} steps of {model.dt:.3g} s: expected at "
+            f"{model.scene.name}: the {model.kind} model needs {number:.3g} steps of {model.dt:.3g} s: expected at "
             f"most {MOST_STEPS:.3g}; shorten run.until_time, or take a softer material or a larger run.dt"
         )
     shortest = min(c.t_c for c in model.contacts.values())
-    flight = max(model.record_every, round(shortest / model.dt))
+    flight = max(model.record_every, round(min(shortest / model.dt, MOST_STEPS)))
     return replace(model, t_end=t_end, n_steps=n_steps, flight_every=flight)
 
 
-def _contact(scene: Scene, a: Particle, b: Particle | Wall, kind: str) -> PairContact:
+def _contact(
+    scene: Scene, a: Particle, b: Particle | Wall, kind: str, first_speed: Callable[[Scene], float | None]
+) -> PairContact:
     both = pair_of(a, b)
     rest = Rest(initial_overlap(a, b), float(both.m_eff) * float(np.linalg.norm(scene.gravity)))
     names = f"{a.name!r} and {b.name!r}"
-    return pair_contact(scene.contact, both, pair_choice(scene, a, b), kind, rest, scene=scene.name, names=names)
+    numbers = pair_choice(scene, a, b, first_speed)
+    return pair_contact(scene.contact, both, numbers, kind, rest, scene=scene.name, names=names)

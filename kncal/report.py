@@ -17,8 +17,8 @@ from kncal.figures import draw_figures
 from kncal.io.tables import write_csv, write_json, write_text
 from kncal.methods import get_method
 from kncal.metrics import metric_text
-from kncal.resources import folder as shipped_folder
 from kncal.scene import ContactChoice
+from kncal.templating import Page
 from kncal.units import percent, quantity
 
 if TYPE_CHECKING:
@@ -154,18 +154,9 @@ def write_report(
     return page
 
 
-def page_template(name: str) -> Any:
-    """Return a page of ``templates/report`` as a Jinja2 template that escapes every text it is given."""
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
-    environment = Environment(
-        loader=FileSystemLoader(shipped_folder("templates") / "report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template(name)
+def page_template(name: str) -> Page:
+    """Return a page of ``templates/report`` as a template that escapes every text it is given."""
+    return Page(name)
 
 
 def _state(comparison: Comparison) -> str:

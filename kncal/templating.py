@@ -6,14 +6,16 @@ A solver executes what its input tells it, so only numbers, and names that can b
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import MappingProxyType
+from typing import Any
 
 from kncal.checks import NAME_PATTERN, as_floats
 from kncal.errors import InputError, RenderError
-
-if TYPE_CHECKING:
-    from jinja2.sandbox import SandboxedEnvironment
+from kncal.foreign_templates import foreign_hashes, in_force, render_apart
+from kncal.resources import folder as shipped_folder
 
 
 def checked_name(value: object) -> str:
@@ -62,27 +64,33 @@ def integer(value: object) -> str:
     return str(value)
 
 
-def environment(folder: Path) -> SandboxedEnvironment:
-    """Make the Jinja2 environment of every solver template in ``folder``.
+def environment(folder: Path, *, foreign: Mapping[str, str] = MappingProxyType({}), html: bool = False) -> Any:
+    """Make the Jinja2 environment of every template in ``folder``; ``foreign`` texts stand in for those of their name.
 
-    Sandboxed, undefined names are errors, comments are ``<# ... #>`` (a ``{#`` may occur in solver input).
-    Filters: ``num``, ``whole``, ``name``; they refuse what they cannot write safely.
+    Sandboxed, undefined names are errors. Solver input: comments are ``<# ... #>`` (a ``{#`` may occur in it), and the
+    filters ``num``, ``whole``, ``name`` refuse what they cannot write safely. ``html``: every text is escaped.
     """
     import jinja2
-    from jinja2.sandbox import SandboxedEnvironment
+    from jinja2.sandbox import ImmutableSandboxedEnvironment
 
-    env = SandboxedEnvironment(
-        loader=jinja2.FileSystemLoader(folder),
+    comments = {} if html else {"comment_start_string": "<#", "comment_end_string": "#>"}
+    env = ImmutableSandboxedEnvironment(
+        loader=jinja2.ChoiceLoader([jinja2.DictLoader(dict(foreign)), jinja2.FileSystemLoader(folder)]),
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
-        keep_trailing_newline=True,
-        comment_start_string="<#",
-        comment_end_string="#>",
-        autoescape=False,  # solver input, not HTML; the filters are the defence
+        keep_trailing_newline=not html,
+        autoescape=html,  # solver input is no HTML; there the filters are the defence
+        **comments,
     )
     env.filters.update(num=number, whole=integer, name=checked_name)
     return env
+
+
+@lru_cache(maxsize=16)
+def _kept(folder: Path) -> Any:
+    """Return the environment of shipped templates, kept: it holds them compiled, which takes longer than filling."""
+    return environment(folder)
 
 
 def render(folder: Path, template: str, context: Mapping[str, object]) -> str:
@@ -91,11 +99,45 @@ def render(folder: Path, template: str, context: Mapping[str, object]) -> str:
     Raises
     ------
     RenderError
-        If the template is missing or broken, needs what ``context`` lacks, or breaks a filter's rule.
+        If the template is missing or broken, needs what ``context`` lacks, or breaks a filter's rule; a template from
+        elsewhere (see `kncal.foreign_templates`) also if it takes too long, or its text is not ASCII.
     """
     import jinja2
 
+    if foreign := in_force(folder):
+        text = render_apart(folder, foreign, template, context, html=False)
+        if not text.isascii():
+            raise RenderError(f"template {template} of --trust-templates: its text is not ASCII, as solvers need it")
+        return text
     try:
-        return environment(folder).get_template(template).render(context)
+        return str(_kept(folder).get_template(template).render(context))
     except jinja2.TemplateError as error:
         raise RenderError(f"template {template} in {folder}: {type(error).__name__}: {error}") from error
+
+
+@dataclass(frozen=True)
+class Page:
+    """A page of ``templates/report``: every text that it is given is escaped."""
+
+    name: str
+
+    def render(self, **context: Any) -> str:
+        """Return the page; where templates from elsewhere are in force, it names them among its provenance.
+
+        Raises
+        ------
+        RenderError
+            As `kncal.templating.render`.
+        """
+        import jinja2
+
+        folder = shipped_folder("templates") / "report"
+        if names := foreign_hashes():
+            section = {"templates that are not kncal's (--trust-templates), sha256": names}
+            context["provenance"] = {**context.get("provenance", {}), **section}
+        if foreign := in_force(folder):
+            return render_apart(folder, foreign, self.name, context, html=True)
+        try:
+            return str(environment(folder, html=True).get_template(self.name).render(**context))
+        except jinja2.TemplateError as error:
+            raise RenderError(f"template {self.name} in {folder}: {type(error).__name__}: {error}") from error

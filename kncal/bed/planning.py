@@ -15,6 +15,8 @@ from kncal.needs import Needs
 from kncal.pair_contact import Rest, numbers_of, pair_contact, smooth
 from kncal.planning import MOST_STEPS
 
+#: Frames that take more than this are refused before the run [bytes]: a report reads all of them.
+MOST_FRAME_BYTES = 8 * 1024**3
 #: The two kinds of bodies in a bed; also the names in `BedModel.contacts` and in the exceptions of a case.
 PARTICLES, WALLS = "particles", "walls"
 
@@ -55,13 +57,22 @@ def _model(scene: BedScene, kind: str, needs: Needs) -> BedModel:
     # 1e-9: a wish that is a whole number of steps but for rounding is that number
     per_coupling = max(math.floor(wish / dt * (1.0 + 1e-9)), 1)
     coupling = per_coupling * dt
-    couplings = math.ceil(scene.run.end_time / coupling * (1.0 - 1e-9))
-    if (steps := couplings * per_coupling) > MOST_STEPS:
+    number = scene.run.end_time / coupling * (1.0 - 1e-9)  # may be infinite
+    if number * per_coupling > MOST_STEPS:
         raise CaseFileError(
-            f"{scene.name}: the {kind} model needs {steps:.3g} steps of {dt:.3g} s: expected at most "
+            f"{scene.name}: the {kind} model needs {number * per_coupling:.3g} steps of {dt:.3g} s: expected at most "
             f"{MOST_STEPS:.3g}; shorten run.end_time, or take a softer material (beds are customarily run with a "
             "Young's modulus far below the real one) or a smaller run.steps_per_contact"
         )
+    couplings = math.ceil(number)
+    gas_steps = 1.0 if (step := scene.run.gas_step) is None else coupling / step * (1.0 - 1e-9)
+    if number * gas_steps > MOST_STEPS:
+        raise CaseFileError(
+            f"{scene.name}: the gas needs {number * gas_steps:.3g} steps of {scene.run.gas_step:.3g} s: expected at "
+            f"most {MOST_STEPS:.3g}; take a longer run.gas_step, or shorten run.end_time"
+        )
+    frames_every = max(round(min(scene.run.frames_every / coupling, couplings + 1.0)), 1)
+    _check_frames(scene, couplings // frames_every)
     return BedModel(
         scene=scene,
         kind=kind,
@@ -70,9 +81,19 @@ def _model(scene: BedScene, kind: str, needs: Needs) -> BedModel:
         steps_per_coupling=per_coupling,
         coupling=coupling,
         couplings=couplings,
-        frames_every=max(round(scene.run.frames_every / coupling), 1),
-        gas_steps=1 if (step := scene.run.gas_step) is None else max(math.ceil(coupling / step * (1.0 - 1e-9)), 1),
+        frames_every=frames_every,
+        gas_steps=max(math.ceil(gas_steps), 1),
     )
+
+
+def _check_frames(scene: BedScene, frames: int) -> None:
+    """Refuse frames that would fill disk and memory: single precision, six numbers a particle, five a gas cell."""
+    size = 24 * scene.particles.count + (20 * math.prod(scene.column.cells) if scene.gas is not None else 0)
+    if frames * size > MOST_FRAME_BYTES:
+        raise CaseFileError(
+            f"{scene.name}: {frames} frames of {size / 1e6:.3g} MB: expected at most {MOST_FRAME_BYTES / 1e9:.3g} GB "
+            "in all; take a longer run.frames_every"
+        )
 
 
 def _contacts(scene: BedScene, kind: str, needs: Needs) -> dict[tuple[str, str], PairContact]:

@@ -16,6 +16,7 @@ import numpy as np
 
 from kncal.checks import one_of, positive
 from kncal.errors import InputError, ReadError
+from kncal.io.files import read_limited
 from kncal.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -25,14 +26,15 @@ if TYPE_CHECKING:
 TRAJECTORY_COLUMNS = (
     "id", "type", "x", "y", "z", "vx", "vy", "vz", "omegax", "omegay", "omegaz", "fx", "fy", "fz",
 )  # fmt: skip
-#: A larger dump is refused: it is read into memory as a whole.
+#: A larger dump is refused, it is read into memory as a whole; also one whose table would be larger than that.
 MAX_BYTES = 2 * 1024**3
+MAX_COLUMNS, MAX_FRAMES = 200, 5_000_000
 
 _KINDS = {"atoms": "ATOMS", "local": "ENTRIES"}
 _INTEGERS = ("id", "type")
 _HEADER_LINES = 9
 _HEADER = re.compile(
-    rb"ITEM: TIMESTEP\n(\d+) *\nITEM: NUMBER OF (ATOMS|ENTRIES)\n(\d+) *\n"
+    rb"ITEM: TIMESTEP\n(\d{1,18}) *\nITEM: NUMBER OF (ATOMS|ENTRIES)\n(\d{1,18}) *\n"
     rb"ITEM: BOX BOUNDS[^\n]*\n(?:[^\nI]*\n){3}ITEM: (ATOMS|ENTRIES)([^\n]*)\n"
 )
 _NUMBER = re.compile(rb"[+-]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|nan|inf|infinity)", re.IGNORECASE)
@@ -163,13 +165,7 @@ def write_trajectory(path: Path, trajectory: Trajectory, types: Sequence[int]) -
 
 
 def _read_bytes(path: Path) -> bytes:
-    try:
-        size = path.stat().st_size
-        if size > MAX_BYTES:
-            raise ReadError(f"{path}: {size} bytes, expected at most {MAX_BYTES}; dump less often")
-        data = path.read_bytes()
-    except OSError as error:
-        raise ReadError(f"{path}: cannot be read ({error.strerror}); expected a LIGGGHTS dump") from error
+    data = read_limited(path, MAX_BYTES, "a LIGGGHTS dump", "dump less often")
     if not data:
         raise ReadError(
             f"{path}, line 1: the file is empty, expected 'ITEM: TIMESTEP'; did the solver stop early, "
@@ -198,9 +194,19 @@ def _frames(path: Path, data: bytes, item: str) -> tuple[list[_Frame], list[str]
             _refuse(path, data, item)
         frames.append(frame)
         start = frame.end
+        if len(frames) > MAX_FRAMES:
+            raise ReadError(f"{path}: more than {MAX_FRAMES} frames; dump less often")
     names = columns.decode("ascii", errors="replace").split()
     if not names or len(set(names)) != len(names) or {"step", ""} & set(names):
-        raise ReadError(f"{path}, line {_HEADER_LINES}: columns {names}; expected distinct names without 'step'")
+        raise ReadError(
+            f"{path}, line {_HEADER_LINES}: columns {_shown(columns)}; expected distinct names without 'step'"
+        )
+    numbers = len(names) * sum(frame.rows for frame in frames)
+    if len(names) > MAX_COLUMNS or 8 * numbers > MAX_BYTES:
+        raise ReadError(
+            f"{path}: {len(names)} columns, {numbers} numbers; expected at most {MAX_COLUMNS} columns and "
+            f"{MAX_BYTES // 8} numbers; dump less often"
+        )
     return frames, names
 
 
@@ -301,9 +307,9 @@ def _refuse(path: Path, data: bytes, item: str) -> NoReturn:
     first: list[bytes] | None = None
     while source.tell() < len(data):
         expect(rb"ITEM: TIMESTEP", "'ITEM: TIMESTEP' (or the number of rows above is wrong)")
-        step = int(expect(rb"\d+", "a step number"))
+        step = int(expect(rb"\d{1,18}", "a step number"))
         expect(f"ITEM: NUMBER OF {item}".encode(), f"'ITEM: NUMBER OF {item}'")
-        rows = int(expect(rb"\d+", "a number of rows"))
+        rows = int(expect(rb"\d{1,18}", "a number of rows"))
         expect(rb"ITEM: BOX BOUNDS.*", "'ITEM: BOX BOUNDS ...'")
         for _ in range(3):
             expect(rb"[^I].*", "two bounds of the box")

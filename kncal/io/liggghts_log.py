@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, BinaryIO
 import numpy as np
 
 from kncal.errors import ReadError
+from kncal.io.files import open_limited
 from kncal.io.text import MAX_LINE, decode_line
 
 if TYPE_CHECKING:
@@ -19,8 +20,9 @@ if TYPE_CHECKING:
 
 #: kncal's decks print this as their last action: LIGGGHTS' exit code is 0 for many runs that stopped early.
 END_MARKER = "KNCAL_DONE"
-#: A larger log is refused.
-MAX_BYTES = 512 * 1024**2
+#: A larger log is refused, and one with more columns, changes of columns, or numbers in all its tables together.
+MAX_BYTES = 128 * 1024**2
+MAX_COLUMNS, MAX_BLOCKS, MAX_NUMBERS = 200, 1000, 30_000_000
 
 _KEPT = 20
 _VERSION = re.compile(r"LIGGGHTS \(Version (?:LIGGGHTS-PUBLIC )?([^,)]+)")
@@ -60,7 +62,7 @@ def read_log(path: Path) -> LiggghtsLog:
     Raises
     ------
     ReadError
-        If the file is missing or larger than `MAX_BYTES`.
+        If the file is missing, or larger than `MAX_BYTES`, or its tables are larger than any of kncal's decks makes.
     """
     blocks: list[tuple[tuple[str, ...], array[float]]] = []
     errors: list[str] = []
@@ -69,23 +71,22 @@ def read_log(path: Path) -> LiggghtsLog:
     version: str | None = None
     loop: float | None = None
     try:
-        size = path.stat().st_size
-        if size > MAX_BYTES:
-            raise ReadError(f"{path}: {size} bytes, expected at most {MAX_BYTES}; write thermo lines less often")
-        with path.open("rb") as file:
+        with open_limited(path, MAX_BYTES, "a LIGGGHTS log", "write thermo lines less often") as file:
             for line, ended in _lines(file):
                 tokens = line.split()
                 if not tokens:
                     continue
                 if tokens[0] == "Step":
-                    blocks.append((tuple(tokens), array("d")))
+                    if not blocks or blocks[-1][0] != tuple(tokens):
+                        blocks.append((tuple(tokens), array("d")))
+                        _check_size(path, blocks)
                     in_block = True
                 elif ended and in_block and (row := _numbers(tokens)) and len(row) == len(blocks[-1][0]):
                     blocks[-1][1].extend(row)
                 elif tokens[0].startswith("ERROR"):
-                    errors.append(line)
+                    errors += [line] if len(errors) < _KEPT else []
                 elif tokens[0].startswith("WARNING"):
-                    warnings.append(line)
+                    warnings += [line] if len(warnings) < _KEPT else []
                 elif line == END_MARKER:
                     finished = True
                 elif match := _LOOP.match(line):
@@ -96,13 +97,14 @@ def read_log(path: Path) -> LiggghtsLog:
                     version = match[1].strip()
     except OSError as error:
         raise ReadError(f"{path}: cannot be read ({error.strerror}); expected a LIGGGHTS log") from error
+    _check_size(path, blocks)
     thermo = _thermo(blocks)
     return LiggghtsLog(
         thermo=thermo,
         last_step=_last(thermo, "Step"),
         atoms=_last(thermo, "Atoms"),
-        errors=tuple(errors[:_KEPT]),
-        warnings=tuple(warnings[:_KEPT]),
+        errors=tuple(errors),
+        warnings=tuple(warnings),
         finished=finished,
         version=version,
         loop_cpu=loop,
@@ -138,6 +140,17 @@ def _numbers(tokens: list[str]) -> list[float]:
         return [float(token) for token in tokens]
     except ValueError:
         return []
+
+
+def _check_size(path: Path, blocks: list[tuple[tuple[str, ...], array[float]]]) -> None:
+    """Refuse tables that would take far more memory than the log: put together, every row has every column."""
+    columns = max(len({name for names, _ in blocks for name in names}), *(len(names) for names, _ in blocks), 0)
+    rows = sum(len(values) // len(names) for names, values in blocks)
+    if columns > MAX_COLUMNS or len(blocks) > MAX_BLOCKS or rows * columns > MAX_NUMBERS:
+        raise ReadError(
+            f"{path}: {rows} thermo lines, {columns} columns that change {len(blocks)} times: expected at most "
+            f"{MAX_NUMBERS} numbers in all, {MAX_COLUMNS} columns, {MAX_BLOCKS} changes; write thermo lines less often"
+        )
 
 
 def _thermo(blocks: list[tuple[tuple[str, ...], array[float]]]) -> pd.DataFrame:

@@ -7,6 +7,7 @@ ParaView and users there is `read_case` (pyvista).
 from __future__ import annotations
 
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from kncal.checks import Array
 from kncal.errors import InputError, ReadError
+from kncal.io.files import open_limited, read_limited
+from kncal.io.probe import probe
 from kncal.io.text import decode_line
 
 #: Folder of the parcels inside a time folder.
@@ -27,11 +30,23 @@ _WIDTHS = {"scalar": 1, "label": 1, "vector": 3, "symmTensor": 6, "tensor": 9}
 _ARCH = "LSB;label=32;scalar=64"
 _KEPT_LINES = 8  # of an error message
 _LOG_END = 1 << 16  # bytes of a log that are searched
+_DEEPEST = 20  # dictionaries inside each other
+_LONGEST_VALUE = 1000  # bytes of one uniform value
+_HEADER_BYTES = 4096  # where FoamFile is looked for
 
 # Fields of basicKinematicCollidingParcel that are the same for all parcels and never matter here
 _CONSTANT_SCALARS = {"age": "0", "tTurb": "0"}
 _CONSTANT_LABELS = {"active": "1", "typeId": "1", "origProcId": "0"}
 _CONSTANT_VECTORS = ("UTurb", "f", "angularMomentum", "torque")
+# What a saved state may hold
+_PLAIN_START = re.compile(rb"\s*+(?:/\*(?:[^*]|\*(?!/))*+\*/\s*+)?FoamFile\s*+\{[^#$}]*+\}")
+_STATE_KEYS = {
+    "dimensions", "internalField", "value", "type", "phi", "alpha", "inletVelocity", "gradient", "oriented", "rho", "U",
+}  # fmt: skip
+_STATE_TYPES = {
+    "fixedValue", "interstitialInletVelocity", "pressureInletOutletVelocity", "slip", "noSlip", "cyclic", "empty",
+    "fixedFluxPressure", "calculated",
+}  # fmt: skip
 _RECORDS = {
     "PairAccessed": "label",
     "PairOrigProcOfOther": "label",
@@ -148,6 +163,37 @@ def read_cells(path: Path, count: int) -> Array:
     return _spread(path, "internal field", values, count)
 
 
+def refuse_code(path: Path) -> None:
+    """Refuse a field that holds anything but numbers and the few entries of a state that kncal's cases write.
+
+    OpenFOAM obeys more in a field than numbers: ``libs`` in a patch loads a library, ``codedFixedValue`` and ``#calc``
+    compile code, ``#include`` reads other files. A saved state may come from another machine.
+
+    Raises
+    ------
+    ReadError
+        Naming the entry; also as `read_field`.
+    """
+
+    def check(entries: dict[str, Any], where: str, patches: bool) -> None:
+        for key, value in entries.items():
+            place = f"{where}{key}"[:200]
+            if isinstance(value, dict):
+                if not re.fullmatch(r"boundaryField|oriented" if not where else r"[A-Za-z]\w{0,63}", key):
+                    raise ReadError(f"{path}: {place}: expected no such entry in a saved state")
+                check(value, f"{place}.", where == "boundaryField.")
+            elif key not in _STATE_KEYS:
+                raise ReadError(f"{path}: {place}: expected a saved state, with {', '.join(sorted(_STATE_KEYS))} only")
+            elif isinstance(value, str) and (
+                not re.fullmatch(r"[\w. \[\]-]*", value) or (patches and key == "type" and value not in _STATE_TYPES)
+            ):
+                raise ReadError(f"{path}: {place} = {value[:60]!r}: expected numbers, or the name of a plain condition")
+
+    if not _PLAIN_START.match(_read(path)):
+        raise ReadError(f"{path}: expected a saved state, which begins with a plain FoamFile header")
+    check(read_field(path), "", patches=False)
+
+
 def read_patch(path: Path, patch: str, count: int) -> Array:
     """Read the face values of a patch of a volume field: (count,) or (count, 3).
 
@@ -156,7 +202,8 @@ def read_patch(path: Path, patch: str, count: int) -> Array:
     ReadError
         As `read_field`, or if there is no such patch with that number of faces.
     """
-    entry = read_field(path).get("boundaryField", {}).get(patch)
+    patches = read_field(path).get("boundaryField")
+    entry = patches.get(patch) if isinstance(patches, dict) else None
     if not isinstance(entry, dict):
         raise ReadError(f"{path}: no patch {patch!r} in boundaryField")
     return _spread(path, f"patch {patch!r}", entry.get("value"), count)
@@ -184,11 +231,11 @@ def set_patch_vector(path: Path, patch: str, entry: str, value: tuple[float, flo
 def fatal_error(log: Path) -> str:
     """Return the solver's own error message from the end of a log (lines joined by " / "), empty if there is none."""
     try:
-        with log.open("rb") as handle:
+        with open_limited(log, sys.maxsize, "a log") as handle:
             handle.seek(0, 2)
             handle.seek(max(handle.tell() - _LOG_END, 0))
-            lines = [decode_line(line) for line in handle.read().split(b"\n")]
-    except OSError:
+            lines = [decode_line(line) for line in handle.read(_LOG_END).split(b"\n")]
+    except (OSError, ReadError):
         return ""
     for number, line in enumerate(lines):
         if "FOAM FATAL" in line:
@@ -200,6 +247,8 @@ def fatal_error(log: Path) -> str:
 
 def read_case(case: Path, time: float | None = None) -> Any:
     """Read mesh, fields, patches and parcels of a case with pyvista, as users and pictures want them.
+
+    A child process reads it first (about a second): a damaged file may crash VTK.
 
     Parameters
     ----------
@@ -223,6 +272,20 @@ def read_case(case: Path, time: float | None = None) -> Any:
         raise ReadError(
             f"{case}: no mesh in constant/polyMesh, or no system/controlDict; expected a case after blockMesh"
         )
+    if time is None:
+        probe("case", case)
+    else:
+        probe("case", case, repr(float(time)))
+    try:
+        return read_native_case(case, time)
+    except ReadError:
+        raise
+    except Exception as error:  # a foreign reader raises anything
+        raise ReadError(f"{case}: cannot be read ({error})") from error
+
+
+def read_native_case(case: Path, time: float | None) -> Any:
+    """Read a case in this process, which a damaged file may end; raises anything. For `kncal.io.probe`."""
     import pyvista
 
     # Any file of that folder tells the reader where the case is; this one is there already.
@@ -240,7 +303,7 @@ def read_case(case: Path, time: float | None = None) -> Any:
 class _Reader:
     """Walks through a dictionary of OpenFOAM whose lists are binary: what follows a list is found by counting."""
 
-    _SPACE = re.compile(rb"(?:\s+|//[^\n]*\n|/\*.*?\*/)*", re.DOTALL)
+    _SPACE = re.compile(rb"\s+|//[^\n]*(?:\n|\Z)")
     _WORD = re.compile(rb'"[^"]*"|[^\s{};"]+')
     _LIST = re.compile(rb"nonuniform\s+List<(\w+)>\s*")
     _UNIFORM = re.compile(rb"uniform\s+(\([^();]*\)|[^\s();]+)\s*;")
@@ -254,6 +317,8 @@ class _Reader:
         self.uniform: dict[tuple[str, ...], tuple[int, int]] = {}
 
     def dictionary(self, *, top: bool = False) -> dict[str, Any]:
+        if len(self._keys) > _DEEPEST:
+            raise ReadError(f"{self._path}: byte {self._at}: more than {_DEEPEST} dictionaries inside each other")
         entries: dict[str, Any] = {}
         while True:
             self._skip()
@@ -284,14 +349,21 @@ class _Reader:
         dtype = np.dtype("<i4" if kind == "label" else "<f8")
         mark = self._raw[match.end() : match.end() + 1]
         if mark == b"{":
-            end = self._raw.find(b"}", match.end())
-            values = _numbers(self._raw[match.end() + 1 : end])
-            if end < 0 or values is None or values.size != width:
+            end = self._raw.find(b"}", match.end(), match.end() + _LONGEST_VALUE)
+            values = None if end < 0 else _numbers(self._raw[match.end() + 1 : end])
+            if values is None or values.size != width:
                 raise self._cut_off()
-            return np.broadcast_to(values.astype(dtype), shape).copy(), end + 1
+            if dtype.kind == "i" and not (abs(values) < 2**31).all():
+                raise ReadError(f"{self._path}: byte {self._at}: {values}: expected a label")
+            # one value for all, however many the file claims: no memory is taken for them
+            return np.broadcast_to(values.astype(dtype), shape), end + 1
         if count == 0:
-            end = self._raw.find(b")", match.end()) + 1 if mark == b"(" else match.end()
-            return np.zeros(shape, dtype), end
+            if mark != b"(":
+                return np.zeros(shape, dtype), match.end()
+            end = match.end() + 1
+            if self._raw[end : end + 1] != b")":
+                raise self._cut_off()
+            return np.zeros(shape, dtype), end + 1
         if not self._binary:
             hint = "set writeFormat binary in system/controlDict, or use read_case"
             raise ReadError(f"{self._path}: byte {self._at}: a list of numbers as text, expected binary; {hint}")
@@ -326,9 +398,16 @@ class _Reader:
         return text
 
     def _skip(self) -> None:
-        match = self._SPACE.match(self._raw, self._at)
-        if match is not None:
-            self._at = match.end()
+        while True:
+            if match := self._SPACE.match(self._raw, self._at):
+                self._at = match.end()
+            elif self._raw.startswith(b"/*", self._at):
+                end = self._raw.find(b"*/", self._at + 2)
+                if end < 0:
+                    raise self._cut_off()
+                self._at = end + 2
+            else:
+                return
 
     def _cut_off(self) -> ReadError:
         return ReadError(
@@ -368,17 +447,12 @@ def _header(kind: str, name: str, text_format: str) -> str:
 
 
 def _read(path: Path) -> bytes:
-    try:
-        if (size := path.stat().st_size) > MAX_BYTES:
-            raise ReadError(f"{path}: {size} bytes, expected at most {MAX_BYTES}")
-        return path.read_bytes()
-    except OSError as error:
-        raise ReadError(f"{path}: cannot be read ({error.strerror}); expected a file written by OpenFOAM") from error
+    return read_limited(path, MAX_BYTES, "a file written by OpenFOAM")
 
 
 def _read_header(path: Path, raw: bytes) -> tuple[dict[str, str], int]:
     """Return the entries of ``FoamFile`` and where it ends."""
-    match = re.search(rb"FoamFile\s*\{([^}]*)\}", raw[:8192])
+    match = re.search(rb"FoamFile\s*\{([^}]*)\}", raw[:_HEADER_BYTES])
     if match is None:
         raise ReadError(f"{path}: no FoamFile header; expected a file of OpenFOAM")
     text = match[1].decode("ascii", errors="replace")

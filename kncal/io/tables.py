@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import tempfile
 from collections.abc import Mapping
@@ -12,12 +13,13 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import numpy as np
 
 from kncal.errors import InputError, ReadError
+from kncal.io.files import read_limited
 
 if TYPE_CHECKING:
     import pandas as pd
 
-#: A larger JSON file is refused.
-MAX_JSON_BYTES = 256 * 1024**2
+#: A larger JSON file is refused: read, it takes about twenty times its size.
+MAX_JSON_BYTES = 32 * 1024**2
 
 
 def write_json(path: Path, data: object) -> None:
@@ -44,15 +46,15 @@ def read_json(path: Path) -> Any:
     """
 
     def refuse(constant: str) -> NoReturn:
-        raise ReadError(f"{path}: holds {constant}, expected finite numbers")
+        raise ReadError(f"{path}: holds {constant[:40]}, expected finite numbers")
 
+    def finite(digits: str) -> float:
+        value = float(digits)
+        return value if math.isfinite(value) else refuse(digits)
+
+    data = read_limited(path, MAX_JSON_BYTES, "a JSON file")
     try:
-        size = path.stat().st_size
-        if size > MAX_JSON_BYTES:
-            raise ReadError(f"{path}: {size} bytes, expected at most {MAX_JSON_BYTES}")
-        return json.loads(path.read_bytes().decode("utf-8"), parse_constant=refuse)
-    except OSError as error:
-        raise ReadError(f"{path}: cannot be read ({error.strerror}); expected a JSON file") from error
+        return json.loads(data.decode("utf-8"), parse_constant=refuse, parse_float=finite)
     except UnicodeDecodeError as error:
         raise ReadError(f"{path}: byte {error.start} is not UTF-8; expected a JSON file") from error
     except json.JSONDecodeError as error:
@@ -60,6 +62,8 @@ def read_json(path: Path) -> Any:
         raise ReadError(f"{path}, {place}: {error.msg}; expected JSON (is the file cut off?)") from error
     except RecursionError as error:
         raise ReadError(f"{path}: nested too deeply; expected a JSON file written by kncal") from error
+    except ValueError as error:  # a whole number of thousands of digits
+        raise ReadError(f"{path}: {error}; expected a JSON file written by kncal") from error
 
 
 def write_csv(path: Path, frame: pd.DataFrame, units: Mapping[str, str]) -> None:

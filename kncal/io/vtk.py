@@ -10,6 +10,9 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from kncal.errors import InputError, ReadError
+from kncal.io.files import open_limited
+from kncal.io.probe import probe
+from kncal.io.tables import write_text
 
 if TYPE_CHECKING:
     from kncal.trajectory import Trajectory
@@ -17,6 +20,8 @@ if TYPE_CHECKING:
 #: A larger mesh file is refused.
 MAX_BYTES = 1024**3
 
+#: XML by their name; a file may also begin with so many blanks that its first bytes do not show it.
+_XML_SUFFIXES = (".vtp", ".vtu", ".vts", ".vtr", ".vti", ".xdmf", ".xmf", ".svg", ".xml")
 _PYVISTA_SUFFIXES = (".vtk", ".vtp", ".stl")  # meshio ends the program, or misreads the text form
 
 
@@ -66,6 +71,9 @@ def write_particles(trajectory: Trajectory, folder: Path, every: int = 1) -> Pat
 def read_mesh(path: Path) -> Any:
     """Read a mesh or a point cloud: vtk, vtp and stl with pyvista, all else (vtu, msh, ...) with meshio.
 
+    A child process reads it first (about a second): a damaged file may crash these readers, or make them ask for
+    memory without end.
+
     Returns
     -------
     pyvista.DataSet
@@ -77,59 +85,49 @@ def read_mesh(path: Path) -> Any:
         If the file is missing, too large, of an unknown format, damaged or without points, or if it is XML with
         a document type (which can blow up in memory, and which no mesh needs).
     """
-    import pyvista
-
     _refuse_unsafe(path)
-    if path.suffix.lower() not in _PYVISTA_SUFFIXES:
-        mesh = _read_with_meshio(path)
-    else:
-        try:
-            with warnings.catch_warnings(), pyvista.VtkErrorCatcher(raise_errors=True):
-                warnings.simplefilter("error", UserWarning)  # pyvista only warns of some damage
-                mesh = pyvista.read(path)
-        except (RuntimeError, ValueError, OSError, TypeError, UserWarning) as error:
-            raise ReadError(f"{path}: cannot be read as VTK ({_first_line(error)})") from error
+    probe("mesh", path)
+    try:
+        mesh = read_native(path)
+    except Exception as error:  # foreign readers raise anything
+        raise ReadError(f"{path}: cannot be read ({_first_line(error)})") from error
     if not mesh.n_points:
         raise ReadError(f"{path}: holds no points; expected a mesh (is the file cut off?)")
     return mesh
 
 
-def _read_with_meshio(path: Path) -> Any:
-    import meshio
+def read_native(path: Path) -> Any:
+    """Read a mesh in this process, which a damaged file may end; raises anything. For `kncal.io.probe`."""
     import pyvista
 
-    try:
-        return pyvista.from_meshio(meshio.read(path))
-    except SystemExit as error:  # meshio ends the program where it should raise
-        raise ReadError(f"{path}: meshio cannot read this file (suffix {path.suffix!r})") from error
-    except (
-        meshio.ReadError,
-        ValueError,
-        KeyError,
-        IndexError,
-        OSError,
-        AssertionError,
-        SyntaxError,
-    ) as error:
-        raise ReadError(f"{path}: meshio cannot read this file ({_first_line(error)})") from error
+    if path.suffix.lower() not in _PYVISTA_SUFFIXES:
+        import meshio
+
+        mesh = pyvista.from_meshio(meshio.read(path))
+    else:
+        with warnings.catch_warnings(), pyvista.VtkErrorCatcher(raise_errors=True):
+            warnings.simplefilter("error", UserWarning)  # pyvista only warns of some damage
+            mesh = pyvista.read(path)
+    if not isinstance(mesh, pyvista.DataSet):
+        raise TypeError(f"a {type(mesh).__name__}, expected one mesh")
+    return mesh
 
 
 def _refuse_unsafe(path: Path) -> None:
     """Refuse what is dangerous to hand to a reader: huge files, and XML that declares entities."""
-    try:
-        size = path.stat().st_size
-        if size > MAX_BYTES:
-            raise ReadError(f"{path}: {size} bytes, expected at most {MAX_BYTES}")
-        with path.open("rb") as file:
+    with open_limited(path, MAX_BYTES, "a mesh file") as file:
+        try:
             start = file.read(64)
+            if not start:
+                raise ReadError(f"{path}: the file is empty; expected a mesh")
             is_xml = start.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<")
             # 16- and 32-bit text would hide the words looked for, and no mesh writer uses it.
             if start[:2] in (b"\xff\xfe", b"\xfe\xff", b"\0<") or (is_xml and b"\0" in start):
                 raise ReadError(f"{path}: 16-bit text, expected XML in UTF-8 or a binary mesh")
-            if is_xml and _holds_doctype(file, start):
+            if (is_xml or path.suffix.lower() in _XML_SUFFIXES) and _holds_doctype(file, start):
                 raise ReadError(f"{path}: XML with a DOCTYPE is refused; expected a plain VTK file without one")
-    except OSError as error:
-        raise ReadError(f"{path}: cannot be read ({error.strerror}); expected a mesh file") from error
+        except OSError as error:
+            raise ReadError(f"{path}: cannot be read ({error.strerror}); expected a mesh file") from error
 
 
 def _holds_doctype(file: BinaryIO, start: bytes) -> bool:
@@ -153,5 +151,5 @@ def _write_collection(path: Path, entries: list[tuple[float, str]]) -> Path:
     lines = ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="0.1">', "  <Collection>"]
     lines += [f'    <DataSet timestep="{time!r}" part="0" file={quoteattr(name)}/>' for time, name in entries]
     lines += ["  </Collection>", "</VTKFile>", ""]
-    path.write_text("\n".join(lines), encoding="utf-8")
+    write_text(path, "\n".join(lines))
     return path
