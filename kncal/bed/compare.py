@@ -100,6 +100,7 @@ class BedComparison:
             self.invariants,
             self.costs,
             (self.speed, self.total_speed),
+            self.observations,
         )
 
     def row(self, metric: str) -> BedRow:
@@ -122,6 +123,10 @@ class BedComparison:
             "verdict": list(self.sentences),
             "rows": [asdict(r) for r in self.rows],
             "invariants": [asdict(i) for i in self.invariants],
+            "theory": {
+                data.model.kind: _theory(seen)
+                for data, seen in zip((self.linear, self.hertz), self.observations, strict=True)
+            },
             "costs": [asdict(c) for c in self.costs],
             "speed": {**asdict(self.speed), "caveats": list(self.speed.caveats), "total": self.total_speed},
             "averaged": {
@@ -172,12 +177,17 @@ def compare_beds(linear: BedRunData, hertz: BedRunData, tolerances: Mapping[str,
     for name, limit in limits.items():
         if isinstance(limit, bool) or not isinstance(limit, int | float) or not 0.0 <= limit < np.inf:
             raise InputError(f"tolerances: {name} = {limit!r}: expected a finite number >= 0, 0.05 means 5 %")
-    seen_l, seen_h = (observe_bed(data.series, data.model.scene.run.discard) for data in (linear, hertz))
+    scenes = (linear.model.scene, hertz.model.scene)
+    seen_l, seen_h = (
+        observe_bed(data.series, scene.run.discard, scene.gas)
+        for data, scene in zip((linear, hertz), scenes, strict=True)
+    )
     found_l, found_h = quantities(linear.series, seen_l), quantities(hertz.series, seen_h)
-    names = sorted({*found_l.sides, *found_h.sides, *limits, "eps_g"}, key=row_order)
+    fields = {"eps_g"} if not found_h.why_not("eps_g") else set()
+    names = sorted({*found_l.sides, *found_h.sides, *limits, *fields}, key=row_order)
     rows = [
         _field_row(linear, hertz, (seen_l, seen_h), limits.get(name))
-        if name == "eps_g"
+        if name in fields
         else judge(name, found_l.side(name), found_h.side(name), limits.get(name))
         for name in names
     ]
@@ -193,6 +203,20 @@ def compare_beds(linear: BedRunData, hertz: BedRunData, tolerances: Mapping[str,
         speed=saved,
         total_speed=total,
     )
+
+
+def _theory(seen: BedObservations) -> dict[str, Any]:
+    """What is compared with a theory, as plain numbers: of single particles, frozen beds and ramps."""
+    curve = None
+    if seen.curve is not None:
+        curve = asdict(seen.curve)
+        for branch in (curve["rising"], curve["falling"]):
+            branch |= {name: branch[name].tolist() for name in ("U_0", "drop")}
+    return {
+        "final": None if seen.final is None else asdict(seen.final),
+        "plateaus": [asdict(p) for p in seen.plateaus],
+        "curve": curve,
+    }
 
 
 def _field_row(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kncal.bed.limits import COURANT_LARGEST
 from kncal.bed.quantities import Quantities
 from kncal.bed.series import BedSeries
 from kncal.checks import Array
@@ -16,8 +17,6 @@ from kncal.coupling.loop import NOT_PASSED_LIMIT, REACTION_LIMIT
 SOLIDS_LIMIT = 1e-9
 #: The floor of the void fraction in DPMFoam's cloud: what reaches it loses solid volume.
 EPS_G_FLOOR = 0.1
-#: Largest Courant number of a gas step.
-COURANT_LIMIT = 1.0
 #: Closure of the weight balance, as a share of the weight.
 BALANCE_LIMIT = 0.01
 
@@ -53,7 +52,7 @@ def invariants(series: tuple[BedSeries, BedSeries], found: tuple[Quantities, Qua
         ("reaction_error", "momentum booked on the particles and on the gas differs by, of the weight", REACTION_LIMIT),
         ("not_passed", "momentum that the gas received and no particle was given, of the weight", NOT_PASSED_LIMIT),
         ("solids_error", "solid volume in the void fraction field against that of the particles", SOLIDS_LIMIT),
-        ("courant_max", "Courant number of the gas step", COURANT_LIMIT),
+        ("courant_max", "Courant number of the gas step (coarse in time above 1)", COURANT_LARGEST),
     ]
     checked = [_invariant(name, text, [largest(name)(s) for s in series], limit) for name, text, limit in rows]
     lowest = [_extreme(s.eps_g_min, np.min) for s in series]

@@ -18,16 +18,23 @@ from kncal.bed.fields import (
     solids_fields,
     voidage_heights,
 )
+from kncal.bed.metrics import why_not
+from kncal.bed.packed import Plateau, ergun_plateaus
+from kncal.bed.ramp import FluidizationCurve, fluidization_curve
+from kncal.bed.scene import Gas
 from kncal.bed.series import BedSeries
 from kncal.bed.signals import (
     Balance,
     OverlapStatistics,
     Spectrum,
+    bed_kind,
     force_balance,
+    gas_changes,
     overlap_statistics,
     pressure_spectrum,
     rows_from,
 )
+from kncal.bed.single import FinalVelocity, final_velocity
 from kncal.checks import Array
 from kncal.errors import InputError
 from kncal.statistics import LONG_START_UP, MIN_SAMPLES, Average, average, average_of_samples, start_up
@@ -48,17 +55,22 @@ class BedObservations:
 
     Attributes
     ----------
+    kind : one of `kncal.bed.metrics.KINDS_OF_BEDS`; changes : whether the gas velocity changes after ``begin``
     begin : start-up left out before this time [s]
-    begin_by : "given", or the signal of `START_UP_OF` that took longest to settle
-    averages : name -> Average; names and units of `kncal.bed.metrics.BED_METRICS`, and more of the same kind: "z_twice"
-        (twice the mean height [m]), "height_pressure" (where the pressure line meets the freeboard [m]),
-        "bubble_number", "bubble_share" (of the volume below the bed height)
+    begin_by : "given", or the signal of `START_UP_OF` that took longest to settle; "given" too where nothing is left
+        out: of a single particle, a frozen bed and a ramp
+    averages : name -> Average; names and units of `kncal.bed.metrics.BED_METRICS`, and "z_twice" (twice the mean
+        height [m])
     missing : name -> why there is none
     balance : Balance or None; spectrum : Spectrum or None; overlaps : OverlapStatistics or None
     eps_g : (nz, ny, nx) time mean void fraction, or None
     solids : SolidsFields or None; bubbles, tracks : or None
+    final : of a single particle; plateaus : of a frozen bed, one per gas velocity that was held; curve : of
+        a ramp; each None, or empty, for what it is not of
     """
 
+    kind: str
+    changes: bool
     begin: float
     begin_by: str
     averages: Mapping[str, Average]
@@ -70,12 +82,16 @@ class BedObservations:
     solids: SolidsFields | None
     bubbles: Bubbles | None
     tracks: BubbleTracks | None
+    final: FinalVelocity | None
+    plateaus: tuple[Plateau, ...]
+    curve: FluidizationCurve | None
 
 
-def observe_bed(series: BedSeries, discard: float | None = None) -> BedObservations:
+def observe_bed(series: BedSeries, discard: float | None = None, gas: Gas | None = None) -> BedObservations:
     """Observe a run after its start-up: until ``discard`` [s], or as detected.
 
-    What the run has no data for is in ``missing`` with the reason, not an error.
+    What the run has no data for is in ``missing`` with the reason, not an error. ``gas`` of the scene is needed for
+    what is compared with a drag law: ``final``, ``plateaus`` and ``curve``.
 
     Raises
     ------
@@ -83,12 +99,12 @@ def observe_bed(series: BedSeries, discard: float | None = None) -> BedObservati
         If fewer than `MIN_SAMPLES` couplings remain.
     """
     begin, begin_by, doubt = (discard, "given", "") if discard is not None else _begin(series)
+    kind, changes = bed_kind(series, begin), gas_changes(series, begin)
+    if discard is None and (kind in ("single", "frozen") or changes):
+        begin, begin_by, doubt = 0.0, "given", ""
+        kind, changes = bed_kind(series, begin), gas_changes(series, begin)
     facts = series.facts
     rows = rows_from(series, begin)
-    if rows.any() and np.ptp(series.U_0[rows]) > 0.0:
-        doubt = "; ".join(
-            part for part in (doubt, "the gas velocity changes: the average is over different states") if part
-        )
     if rows.sum() < MIN_SAMPLES:
         raise InputError(
             f"{rows.sum()} couplings from {begin:g} s on, of a run of {len(rows)}: expected at least {MIN_SAMPLES}; "
@@ -96,7 +112,7 @@ def observe_bed(series: BedSeries, discard: float | None = None) -> BedObservati
         )
     no_gas = "" if facts.gas_density > 0.0 else "no gas"
     frozen = "" if np.isfinite(series.floor[rows]).all() else "no contacts were recorded (particles do not move)"
-    found = _Collector(series, begin, doubt)
+    found = _Collector(series, begin, doubt, kind, changes)
     found.rows("pressure_drop", series.p_in, no_gas)
     floating = "" if facts.weight > 0.0 else "no gravity"
     if not floating:
@@ -126,7 +142,12 @@ def observe_bed(series: BedSeries, discard: float | None = None) -> BedObservati
         tracks = follow(bubbles)
         for name, values in (("bubble_diameter", tracks.diameter), ("bubble_velocity", tracks.velocity)):
             found.bubbles(name, values)
+    final = found.attempt("velocity", lambda: final_velocity(series, gas)) if kind == "single" else None
+    plateaus = found.attempt("ergun_ratio", lambda: ergun_plateaus(series, gas)) if kind == "frozen" else None
+    curve = found.attempt("U_mf", lambda: fluidization_curve(series, gas)) if kind == "ramp" else None
     return BedObservations(
+        kind=kind,
+        changes=changes,
         begin=begin,
         begin_by=begin_by,
         averages=found.averages,
@@ -134,10 +155,13 @@ def observe_bed(series: BedSeries, discard: float | None = None) -> BedObservati
         balance=None if frozen or floating else force_balance(series, begin),
         spectrum=spectrum,
         overlaps=overlaps,
-        eps_g=None if bubbles is None else mean_voidage(series, begin),
+        eps_g=mean_voidage(series, begin) if kind in ("steady", "frozen") and len(series.eps_g) else None,
         solids=solids,
         bubbles=bubbles,
         tracks=tracks,
+        final=final,
+        plateaus=plateaus or (),
+        curve=curve,
     )
 
 
@@ -169,17 +193,19 @@ def voidage_difference(a: BedSeries, b: BedSeries, begin_a: float, begin_b: floa
 class _Collector:
     """Averages by name, and the reasons for those that there are none of; ``doubt`` is added to all."""
 
-    def __init__(self, series: BedSeries, begin: float, doubt: str) -> None:
+    def __init__(self, series: BedSeries, begin: float, doubt: str, kind: str, changes: bool) -> None:
         self.series = series
         self.begin = begin
         self.doubt = doubt
+        self.kind = kind
+        self.changes = changes
         self.averages: dict[str, Average] = {}
         self.missing: dict[str, str] = {}
 
-    def rows(self, name: str, values: Array, why_not: str = "") -> None:
+    def rows(self, name: str, values: Array, reason: str = "") -> None:
         """Average a signal per coupling, unless there is a reason not to."""
-        if why_not:
-            self.missing[name] = why_not
+        if reason := why_not(name, self.kind, self.changes) or reason:
+            self.missing[name] = reason
         else:
             self.keep(name, average(self.series.t, values, self.begin))
 
@@ -206,7 +232,10 @@ class _Collector:
             self.keep(name, average_of_samples(values))
 
     def attempt(self, name: str, compute: Callable[[], _T]) -> _T | None:
-        """Return what ``compute`` does; if its input is not there, keep the reason."""
+        """Return what ``compute`` does; if its input is not there, or this bed has no such thing, keep the reason."""
+        if reason := why_not(name, self.kind, self.changes):
+            self.missing[name] = reason
+            return None
         try:
             return compute()
         except InputError as error:

@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kncal.bed.fields import frames_from, voidage_heights
+from kncal.bed.metrics import BED_METRICS, why_not
 from kncal.bed.observe import BedObservations
-from kncal.bed.rows import Side
+from kncal.bed.rows import Side, one_value
 from kncal.bed.series import BedSeries
 from kncal.bed.signals import rows_from
 from kncal.checks import Array
@@ -24,20 +25,30 @@ _LEFT_OUT = ("z_twice",)
 
 @dataclass(frozen=True, kw_only=True)
 class Quantities:
-    """Name -> `Side` of everything that one run can be compared by, and the window [s] of its averages."""
+    """Name -> `Side` of everything that one run can be compared by, and the window [s] of its averages.
+
+    What means nothing for this ``kind`` of bed (see `kncal.bed.metrics.why_not`) is not in ``sides``.
+    """
 
     sides: dict[str, Side]
+    kind: str
+    changes: bool
     begin: float
     end: float
 
     def side(self, name: str) -> Side:
-        """Return the side of ``name``; one without an average for what was not observed."""
-        return self.sides.get(name) or Side(average=None, missing="", begin=self.begin, end=self.end)
+        """Return the side of ``name``; one without an average, and why, for what was not observed."""
+        return self.sides.get(name) or Side(average=None, missing=self.why_not(name), begin=self.begin, end=self.end)
+
+    def why_not(self, name: str) -> str:
+        """Return why this bed has no metric ``name``; empty if it may have it, or kncal does not know the name."""
+        return why_not(name, self.kind, self.changes) if name in BED_METRICS else ""
 
 
 def quantities(series: BedSeries, observations: BedObservations) -> Quantities:
     """Collect the averages of ``observations`` and add those of this module."""
     begin, end = observations.begin, float(series.t[-1])
+    kind, changes = observations.kind, observations.changes
     sides: dict[str, Side] = {}
 
     def add(name: str, found: Average | None, missing: str = "") -> None:
@@ -46,8 +57,10 @@ def quantities(series: BedSeries, observations: BedObservations) -> Quantities:
     for name, found in observations.averages.items():
         if name not in _LEFT_OUT:
             add(name, found)
+    for name, value in _own(observations).items():
+        add(name, value)
     for name, why in observations.missing.items():
-        if name not in sides:
+        if name not in sides and not why_not(name, kind, changes):
             add(name, None, why)
     computed: dict[str, Callable[[BedSeries, float], Average]] = {
         "pressure_fluctuation": _fluctuation,
@@ -57,13 +70,34 @@ def quantities(series: BedSeries, observations: BedObservations) -> Quantities:
         "overlap_share": _overlap_share,
     }
     for name, compute in computed.items():
-        if name in sides:
+        if name in sides or why_not(name, kind, changes):
             continue
         try:
             add(name, compute(series, begin))
         except InputError as error:
             add(name, None, str(error))
-    return Quantities(sides=sides, begin=begin, end=end)
+    return Quantities(sides=sides, kind=kind, changes=changes, begin=begin, end=end)
+
+
+def _own(observations: BedObservations) -> dict[str, Average]:
+    """What single particles, frozen beds and ramps have of their own."""
+    found: dict[str, Average] = {}
+    if (final := observations.final) is not None:
+        window = (final.time - final.relaxation, final.time)
+        found["velocity"] = one_value(final.velocity, final.uncertainty, *window)
+        found["slip"] = one_value(final.slip, final.slip_uncertainty, *window)
+    if observations.plateaus:
+        worst = max(observations.plateaus, key=lambda p: abs(p.ratio - 1.0))
+        found["ergun_ratio"] = one_value(worst.ratio, worst.uncertainty, worst.begin, worst.end)
+    if (curve := observations.curve) is not None:
+        end = curve.end
+        for name, branch in (("U_mf", curve.falling), ("U_mf_rising", curve.rising)):
+            found[name] = one_value(branch.U_mf, branch.uncertainty, 0.0, end)
+        found["overshoot"] = one_value(curve.rising.largest - 1.0, curve.rising.largest_uncertainty, 0.0, end)
+        found["eps_mf"] = one_value(curve.falling.eps_g, curve.falling.eps_g_uncertainty, 0.0, end)
+        if curve.falling.plateau is not None:
+            found["plateau"] = one_value(curve.falling.plateau, curve.falling.plateau_uncertainty, 0.0, end)
+    return found
 
 
 def _fluctuation(series: BedSeries, begin: float) -> Average:

@@ -2,33 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
-from kncal.bed.metrics import BED_METRICS
+from kncal.bed.metrics import ABSOLUTE, BED_METRICS, NOT_AVERAGED
 from kncal.statistics import Average, difference, needed_length
 
-#: What is compared beyond `BED_METRICS`: (unit, what it is).
-FURTHER: Mapping[str, tuple[str, str]] = {
-    "pressure_fluctuation": ("Pa", "standard deviation of the pressure at the inlet"),
-    "weight_closure": ("–", "(Δp A + floor + walls − weight − change of momentum)/weight, gas weight taken off"),
-    "height_pressure": ("m", "height at which the pressure line of the bed meets that of the freeboard"),
-    "voidage": ("–", "mean void fraction below the bed height"),
-    "bubble_number": ("–", "bubbles in the bed at a time"),
-    "bubble_share": ("–", "share of the bed's volume that is bubbles"),
-    "overlap_share": ("–", "share of contacts with an overlap above 1 % of the diameter"),
-}
-#: The order of the rows; other names follow, by alphabet.
-ORDER = (
-    "pressure_drop", "pressure_fluctuation", "dominant_frequency", "weight_balance", "weight_closure", "floor_share",
-    "z_mean", "z_95", "bed_height", "height_pressure", "voidage", "eps_g",
-    "bubble_number", "bubble_share", "bubble_diameter", "bubble_velocity",
-    "kinetic_energy", "granular_temperature", "contacts", "overlap_mean", "overlap_max", "overlap_share",
-)  # fmt: skip
-#: Differences of these are absolute: their Hertz value is zero but for errors.
-ABSOLUTE = ("weight_closure",)
 #: The basis of a difference of two fields.
 RMS = "rms over the cells, absolute"
 #: Intervals of averages that are not reliable are taken this many times as wide before they decide anything.
@@ -74,7 +55,10 @@ class BedRow:
 
 @dataclass(frozen=True, kw_only=True)
 class Side:
-    """One run's part of a row: its average or why there is none, and the window [s] that it was taken over."""
+    """One run's part of a row: its average or why there is none, and the window [s] that it was taken over.
+
+    For names in `kncal.bed.metrics.NOT_AVERAGED` the "average" is one value with its uncertainty, see `one_value`.
+    """
 
     average: Average | None
     missing: str
@@ -95,14 +79,30 @@ class Side:
         return self.begin + needed
 
 
+def one_value(value: float, uncertainty: float, begin: float, end: float) -> Average:
+    """Return a value that is no average over time in the form of one: one sample, from ``begin`` to ``end`` [s]."""
+    return Average(
+        mean=value,
+        uncertainty=uncertainty,
+        standard_error=0.5 * uncertainty,
+        std=0.0,
+        n_effective=1.0,
+        correlation_time=0.0,
+        length=end - begin,
+        discarded=begin,
+        reliable=True,
+        why="",
+    )
+
+
 def describe(name: str) -> tuple[str, str]:
     """Return unit and text of a quantity; ("", "") for a name that kncal doesn't know."""
-    return BED_METRICS.get(name) or FURTHER.get(name) or ("", "")
+    return BED_METRICS.get(name, ("", ""))
 
 
 def row_order(name: str) -> tuple[int, str]:
-    """Return the key to sort quantities by."""
-    return (ORDER.index(name) if name in ORDER else len(ORDER), name)
+    """Return the key to sort quantities by: as in `BED_METRICS`, other names follow, by alphabet."""
+    return list(BED_METRICS).index(name) if name in BED_METRICS else len(BED_METRICS), name
 
 
 def judge(name: str, linear: Side, hertz: Side, tolerance: float | None) -> BedRow:
@@ -139,7 +139,7 @@ def judge(name: str, linear: Side, hertz: Side, tolerance: float | None) -> BedR
     if tolerance is not None:
         limit = tolerance * scale
         verdict = decide(abs(found.value), width, limit)
-        if verdict == "undecided":
+        if verdict == "undecided" and name not in NOT_AVERAGED:
             needed = _needed((linear, hertz), abs(found.value), found.uncertainty, limit)
     return _row(
         name,
@@ -227,6 +227,11 @@ def _row(
     )
 
 
+def sampled(rows: Iterable[BedRow]) -> tuple[BedRow, ...]:
+    """Return the rows of averages that are known well enough for a statement about chance."""
+    return tuple(r for r in rows if r.significant is not None and r.linear is not None and r.metric not in NOT_AVERAGED)
+
+
 def called_by_chance(rows: Iterable[BedRow]) -> float:
     """Return how many of the rows would be called different by chance alone, if none were: one in twenty."""
-    return 0.05 * sum(1 for r in rows if r.significant is not None and r.linear is not None)
+    return 0.05 * len(sampled(rows))

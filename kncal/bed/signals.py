@@ -86,6 +86,24 @@ def rows_from(series: BedSeries, begin: float) -> NDArray[np.bool_]:
     return series.t >= begin - 1e-9 * series.facts.coupling
 
 
+def bed_kind(series: BedSeries, begin: float) -> str:
+    """Return which of `kncal.bed.metrics.KINDS_OF_BEDS` a run is from ``begin`` [s] on."""
+    if series.facts.count == 0:
+        return "gas"
+    rows = rows_from(series, begin)
+    if not np.isfinite(series.floor[rows]).all():
+        return "frozen"
+    if series.facts.count == 1:
+        return "single"
+    return "ramp" if gas_changes(series, begin) else "steady"
+
+
+def gas_changes(series: BedSeries, begin: float) -> bool:
+    """Whether the inlet velocity changes from ``begin`` [s] on, so that averages would be over different states."""
+    velocities = series.U_0[rows_from(series, begin)]
+    return bool(len(velocities) and np.ptp(velocities) > 0.0)
+
+
 def force_balance(series: BedSeries, begin: float, end: float | None = None) -> Balance:
     """Balance the vertical forces on the particles over the couplings with ``begin`` <= t <= ``end`` [s].
 

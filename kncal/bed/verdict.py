@@ -7,8 +7,12 @@ from collections.abc import Sequence
 
 from kncal.bed.cost import BedCost
 from kncal.bed.invariants import Invariant
+from kncal.bed.limits import COURANT_LARGE
+from kncal.bed.metrics import NOT_AVERAGED
 from kncal.bed.model import BedModel
-from kncal.bed.rows import RMS, BedRow, called_by_chance
+from kncal.bed.observe import BedObservations
+from kncal.bed.ramp import Branch
+from kncal.bed.rows import RMS, BedRow, called_by_chance, sampled
 from kncal.cost import Speed
 from kncal.units import quantity
 from kncal.verdict import allowed, factor
@@ -20,17 +24,82 @@ def sentences(
     invariants: Sequence[Invariant],
     costs: tuple[BedCost, BedCost],
     speed: tuple[Speed, float | None],
+    observations: tuple[BedObservations, BedObservations],
 ) -> tuple[str, ...]:
-    """Return the verdict as sentences: the judgement, the speed, then notes (invariants, surprises, caveats)."""
+    """Return the verdict as sentences: the judgement, the speed, then notes (theory, invariants, surprises, caveats).
+
+    Every pair of models, costs and observations is (linear, hertz).
+    """
+    collide = bool(models[0].contacts) and observations[0].kind not in ("frozen", "gas")
     return (
         _judgement(*models, rows),
-        _speed(costs, *speed),
+        _speed(costs, *speed) if collide else _no_contacts(costs, observations[0].kind),
+        *against_theory(observations),
         *_broken(invariants),
+        *_coarse(invariants),
         *_undecided(rows),
         _differences(rows),
         *_doubts(rows),
-        *speed[0].caveats,
+        *(speed[0].caveats if collide else ()),
     )
+
+
+def against_theory(observations: tuple[BedObservations, BedObservations]) -> list[str]:
+    """Return what the runs (linear, hertz) give beside a theory, where there is one: one sentence each."""
+    texts: dict[str, list[str]] = {}
+    for kind, seen in zip(("linear", "Hertz"), observations, strict=True):
+        for text in _theory(seen):
+            texts.setdefault(text, []).append(kind)
+    return [f"{' and '.join(kinds)}: {text}" for text, kinds in texts.items()]
+
+
+def _theory(seen: BedObservations) -> list[str]:
+    texts = []
+    if (final := seen.final) is not None:
+        ode = (
+            ""
+            if final.settling is None
+            else (
+                f"; the equation of motion gives {final.settling:.5g} m/s for the velocity,"
+                f" {100.0 * (final.velocity - final.settling) / final.slip:+.2g} % of the slip away"
+            )
+        )
+        texts.append(
+            f"after {final.time:.3g} s the particle moves with {final.velocity:.5g} m/s, a slip of {final.slip:.5g} m/s"
+            f" (terminal, by the drag law: {final.terminal:.5g} m/s){ode}."
+        )
+    if seen.plateaus:
+        ratios = ", ".join(f"{p.ratio:.4f} at {p.U_0:.3g} m/s" for p in seen.plateaus)
+        means = ", ".join(f"{p.gradient / p.ergun_mean:.3f}" for p in seen.plateaus)
+        texts.append(
+            f"pressure gradient over Ergun's with each cell's own void fraction and velocity: {ratios}; over Ergun's at"
+            f" the mean void fraction, {seen.plateaus[-1].eps_g:.3f}: {means} (the gas takes the looser ways)."
+        )
+    if (curve := seen.curve) is not None:
+        texts.append(
+            f"U_mf is {_branch(curve.falling)} with falling, {_branch(curve.rising)} with rising gas velocity; by Wen"
+            f" and Yu's correlation {curve.wen_yu:.3g} m/s. Largest pressure drop on the way up:"
+            f" {curve.rising.largest:.3g} of weight/area."
+        )
+    return texts
+
+
+def _branch(branch: Branch) -> str:
+    plateau = (
+        ""
+        if branch.U_mf_plateau is None
+        else (f", {branch.U_mf_plateau:.3g} m/s where it meets the plateau measured, {branch.plateau:.3g}")
+    )
+    return (
+        f"{plus_minus(branch.U_mf, branch.uncertainty)} m/s (Ergun at the bed's void fraction of {branch.eps_g:.3f}:"
+        f" {branch.ergun:.3g} m/s{plateau})"
+    )
+
+
+def _no_contacts(costs: tuple[BedCost, BedCost], kind: str) -> str:
+    why = "The particles did not move" if kind == "frozen" else "No contact was to be computed"
+    totals = " and ".join(quantity(cost.total, "s", 3) for cost in costs)
+    return f"{why}, so neither model saves anything: the gas took {totals} of CPU time."
 
 
 def spring(model: BedModel) -> str:
@@ -52,7 +121,7 @@ def plus_minus(value: float, uncertainty: float, *, signed: bool = False) -> str
     if decimals > 6:  # both are mostly zeros
         return f"{value:{sign}.4g} ± {uncertainty:.2g}"
     places = max(decimals, 0)
-    return f"{value:{sign}.{places}f} ± {uncertainty:.{places}f}"
+    return f"{round(value, places) + 0.0:{sign}.{places}f} ± {uncertainty:.{places}f}"  # + 0.0: no "-0.0"
 
 
 def difference_text(row: BedRow) -> str:
@@ -83,11 +152,13 @@ def _judgement(linear: BedModel, hertz: BedModel, rows: Sequence[BedRow]) -> str
         texts = [f"{r.metric} {difference_text(r)} ({allowed(r.tolerance)} allowed)" for r in undecided]
         times = [r.needed_end_time for r in undecided]
         known = [t for t in times if t is not None]
-        needed = "run much longer, or allow more"
+        needed, why = "run much longer, or allow more", "the runs are too short for"
+        if all(r.metric in NOT_AVERAGED for r in undecided):
+            needed, why = "let it come to its end, or allow more", "too uncertain is"
         if len(known) == len(times):
             needed = f"run until about {max(known):.3g} s (run.end_time) to decide"
         ok = f"{len(judged) - len(undecided)} of {len(judged)} quantities judged agree"
-        return f"Undecided: {who} against {laws}: {ok}, the runs are too short for {'; '.join(texts)}: {needed}."
+        return f"Undecided: {who} against {laws}: {ok}, {why} {'; '.join(texts)}: {needed}."
     count = "the one quantity" if len(judged) == 1 else f"all {len(judged)} quantities"
     nearest = max(judged, key=_use)
     return (
@@ -127,20 +198,34 @@ def _broken(invariants: Sequence[Invariant]) -> list[str]:
     return [f"Not to be trusted before this is understood: {'; '.join(texts)}."]
 
 
+def _coarse(invariants: Sequence[Invariant]) -> list[str]:
+    found = [i for i in invariants if i.name == "courant_max" and i.holds]
+    largest = max((value for i in found for value in (i.linear, i.hertz) if value is not None), default=0.0)
+    if largest <= COURANT_LARGE:
+        return []
+    return [
+        f"The gas moved up to {largest:.3g} cells in a step: stable, but coarse in time; a run with half the"
+        " run.gas_step tells whether that matters."
+    ]
+
+
 def _undecided(rows: Sequence[BedRow]) -> list[str]:
     texts = [
         f"{r.metric} about {r.needed_end_time:.3g} s" if r.needed_end_time is not None else f"{r.metric} out of reach"
         for r in rows
-        if r.verdict == "undecided"
+        if r.verdict == "undecided" and r.metric not in NOT_AVERAGED
     ]
     return [f"End time predicted to decide: {', '.join(texts)}."] if texts else []
 
 
 def _differences(rows: Sequence[BedRow]) -> str:
-    known = [r for r in rows if r.significant is not None and r.linear is not None]
-    names = [r.metric for r in rows if r.significant]
+    known = sampled(rows)
+    # one value of each run that agree as well as the case asks: that they are not equal to the last digit says nothing
+    names = [r.metric for r in rows if r.significant and not (r.metric in NOT_AVERAGED and r.verdict == "ok")]
     larger = f"Differences larger than their uncertainty: {', '.join(names)}"
     seen = larger if names else "No difference is larger than its uncertainty"
+    if not known:
+        return f"{seen}."
     return (
         f"{seen}. Of {len(known)} quantities about {called_by_chance(rows):.1f} would be called different"
         " by chance alone; where no difference is seen, one up to the uncertainty may still be there."
