@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 import time
-import zipfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -22,6 +21,7 @@ from kncal.bed.model import BedModel
 from kncal.checks import Array
 from kncal.coupling.base import DemStep, GasFields, GasStep
 from kncal.errors import InputError, ReadError
+from kncal.io.arrays import read_npz
 from kncal.io.tables import read_json, write_csv, write_json
 
 #: A piece is written when it holds this much [bytes], or when the last one is this old [s].
@@ -217,6 +217,9 @@ class SeriesWriter:
         x, v : (n, 3) arrays
             Positions [m] and velocities [m/s] at the end of the interval.
         """
+        # Only here: a piece holds the frames of its couplings, so that a later piece replaces whole couplings.
+        if self._bytes > PIECE_BYTES or time.monotonic() - self._written_at > PIECE_SECONDS:
+            self.flush()
         facts = self.facts
         nan = float("nan")
         mass, weight = facts.mass / facts.count, facts.weight
@@ -244,7 +247,7 @@ class SeriesWriter:
             histogram = np.array(dem.histogram, dtype=np.int64)
         self._rows.append(tuple(row[name] for name in UNITS))
         self._histograms.append(histogram)
-        self._grown(8 * (len(UNITS) + len(histogram)))
+        self._bytes += 8 * (len(UNITS) + len(histogram))
 
     def frame(self, coupling: int, x: Array, v: Array, fields: GasFields | None) -> None:
         """Record a frame after coupling ``coupling`` (0: the start), before the next `add`; copies what it is given.
@@ -261,7 +264,7 @@ class SeriesWriter:
             *(np.array(array, dtype=np.float32) for array in (x[None], v[None], *gas)),
         )
         self._frames.append(frame)
-        self._grown(sum(array.nbytes for array in frame))
+        self._bytes += sum(array.nbytes for array in frame)
 
     def flush(self) -> None:
         """Bring everything so far to the disk. Call it before saving a checkpoint."""
@@ -286,11 +289,6 @@ class SeriesWriter:
         part.replace(path)
         self._number += 1
         self._rows, self._histograms, self._frames, self._bytes = [], [], [], 0
-
-    def _grown(self, by: int) -> None:
-        self._bytes += by
-        if self._bytes > PIECE_BYTES or time.monotonic() - self._written_at > PIECE_SECONDS:
-            self.flush()
 
     def close(self) -> None:
         """Write what is left; may be called twice."""
@@ -351,8 +349,16 @@ def _read_facts(folder: Path) -> BedFacts:
     names = {f.name for f in fields(BedFacts)}
     if not isinstance(data, dict) or set(data) != names:
         raise ReadError(f"{path}: expected exactly the keys {', '.join(sorted(names))}")
-    values: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value for name, value in data.items()}
-    return BedFacts(**values)
+    from pydantic import TypeAdapter, ValidationError
+
+    try:
+        facts = TypeAdapter(BedFacts).validate_python(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise ReadError(f"{path}: {'.'.join(map(str, first['loc']))}: {first['msg']}") from error
+    if facts.count < 0 or min(facts.cells) < 1 or not facts.coupling > 0.0 or len(facts.histogram_edges) < 2:
+        raise ReadError(f"{path}: expected count >= 0, cells >= 1, coupling > 0, two or more histogram_edges")
+    return facts
 
 
 def _before(coupling: int, piece: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
@@ -365,13 +371,7 @@ def _before(coupling: int, piece: dict[str, NDArray[Any]]) -> dict[str, NDArray[
 
 def _read_piece(path: Path, facts: BedFacts) -> dict[str, NDArray[Any]]:
     """Read one piece; every array is there, with zero frames if the piece has none, and has the shape it must have."""
-    try:
-        if path.stat().st_size > MAX_PIECE_BYTES:
-            raise ReadError(f"{path}: larger than {MAX_PIECE_BYTES} bytes; expected a piece that kncal wrote")
-        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-            arrays: dict[str, NDArray[Any]] = {name: file[name] for name in file.files}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise ReadError(f"{path}: damaged ({error}); expected a piece of a series") from error
+    arrays = read_npz(path, MAX_PIECE_BYTES)
     nx, ny, nz = facts.cells
     field_shape = (nz, ny, nx)
     shapes: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {

@@ -57,6 +57,17 @@ def write(writer: SeriesWriter, first: int, last: int, every: int = 2) -> None:
             writer.frame(number, x, v, fields(number))
 
 
+@pytest.mark.parametrize(("name", "value"), [("PIECE_SECONDS", -1.0), ("PIECE_BYTES", 0)])
+def test_a_piece_never_ends_between_a_coupling_and_its_frame(tmp_path, monkeypatch, name, value):
+    monkeypatch.setattr(f"kncal.bed.series.{name}", value)
+    with SeriesWriter(tmp_path / "series", SMALL) as writer:
+        write(writer, 1, 7)
+    assert len(list((tmp_path / "series").glob("piece-*.npz"))) == 7
+    found = read_series(tmp_path / "series")
+    np.testing.assert_array_equal(found.coupling, np.arange(1, 8))
+    np.testing.assert_array_equal(found.frame_coupling, [2, 4, 6])
+
+
 def test_everything_comes_back(tmp_path):
     with SeriesWriter(tmp_path / "series", SMALL) as writer:
         write(writer, 1, 5)
