@@ -129,11 +129,17 @@ def particle_drag(
     .. [2] Wen, Yu, Chem. Eng. Prog. Symp. Ser. 62 (1966) 100-111.
     """
     eps, speed = _voidage(eps_g), in_range("slip", slip, 0.0, np.inf, unit="m/s")
-    d, rho, mu = _gas(diameter, density_gas, viscosity)
-    Re = rho * speed * d / mu
-    dense = 150.0 * (1.0 - eps) / eps + 1.75 * Re
-    dilute = 0.75 * _drag_times_reynolds(eps * Re) * eps**-2.65
-    return plain(np.asarray(np.where(eps < EPS_DILUTE, dense, dilute) * mu / (eps * d**2)))
+    return plain(drag_per_slip(eps, speed, *_gas(diameter, density_gas, viscosity)))
+
+
+def drag_per_slip(
+    eps_g: Array, slip: Array, diameter: Array, density_gas: float | Array, viscosity: float | Array
+) -> Array:
+    """`particle_drag` of arrays that are known to be in range: for the inside of a loop, where checks cost the most."""
+    Re = density_gas * slip * diameter / viscosity
+    dense = 150.0 * (1.0 - eps_g) / eps_g + 1.75 * Re
+    dilute = 0.75 * _drag_times_reynolds(eps_g * Re) * eps_g**-2.65
+    return np.asarray(np.where(eps_g < EPS_DILUTE, dense, dilute) * viscosity / (eps_g * diameter**2))
 
 
 def gidaspow_beta(

@@ -1,7 +1,8 @@
-"""Where the files that come with kncal are: templates and cases."""
+"""Where the files that come with kncal are (templates and cases), and where it keeps what is dear to make again."""
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 _PACKAGE = Path(__file__).resolve().parent
@@ -23,3 +24,20 @@ def folder(name: str) -> Path:
         f"kncal's folder {name!r} is missing: expected it in {_PACKAGE / '_data'} or {_PACKAGE.parent}; "
         "install kncal again"
     )
+
+
+def cache_folder() -> Path:
+    """Return the user's folder for what can be made again: ``$XDG_CACHE_HOME/kncal``, else ``~/.cache/kncal``.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no home folder.
+    """
+    given = os.environ.get("XDG_CACHE_HOME", "")
+    if Path(given).is_absolute():  # others are to be ignored, says the XDG standard
+        return Path(given) / "kncal"
+    try:
+        return Path.home() / ".cache" / "kncal"
+    except RuntimeError as error:
+        raise FileNotFoundError("no home folder: set XDG_CACHE_HOME") from error

@@ -20,6 +20,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from kncal.errors import KncalError
+from kncal.resources import cache_folder
 from kncal.runner import ProcessResult, run_process, solver_environment
 
 #: File name of the library; a case names it in ``libs``.
@@ -245,13 +246,10 @@ def _place(cache_dir: Path | None) -> Path:
 
 
 def _default_cache() -> Path:
-    given = os.environ.get("XDG_CACHE_HOME", "")
-    if Path(given).is_absolute():  # others are to be ignored, says the XDG standard
-        return Path(given) / "kncal"
     try:
-        return Path.home() / ".cache" / "kncal"
-    except RuntimeError as error:
-        raise AdapterError("no home folder to keep the adapter in: set XDG_CACHE_HOME") from error
+        return cache_folder()
+    except FileNotFoundError as error:
+        raise AdapterError(f"nowhere to keep the adapter: {error}") from error
 
 
 @contextmanager

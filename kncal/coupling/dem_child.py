@@ -108,24 +108,23 @@ class Library:
     @property
     def count(self) -> int:
         """Number of particles that are left."""
-        return int(ctypes.cast(self._global("nlocal"), ctypes.POINTER(ctypes.c_int))[0])
+        return ctypes.c_int.from_address(self._global("nlocal")).value
 
     @property
     def step(self) -> int:
         """Steps so far."""
-        return int(ctypes.cast(self._global("ntimestep"), ctypes.POINTER(ctypes.c_int64))[0])
+        return ctypes.c_int64.from_address(self._global("ntimestep")).value
 
     @property
     def rows(self) -> NDArray[np.intp]:
         """Row of the callers' arrays (id - 1) for each row of LIGGGHTS."""
-        address = ctypes.cast(self._lib.lammps_extract_atom(self._handle, b"id"), ctypes.POINTER(ctypes.c_int))
-        return np.ctypeslib.as_array(address, (self.count,)).astype(np.intp) - 1
+        ids = self._view(self._lib.lammps_extract_atom(self._handle, b"id"), ctypes.c_int, self.count)
+        return ids.astype(np.intp) - 1
 
     @property
     def masses(self) -> Array:
         """Masses by row [kg]."""
-        address = ctypes.cast(self._lib.lammps_extract_atom(self._handle, b"rmass"), ctypes.POINTER(ctypes.c_double))
-        return np.ctypeslib.as_array(address, (self.count,))
+        return self._view(self._lib.lammps_extract_atom(self._handle, b"rmass"), ctypes.c_double, self.count)
 
     def vectors(self, name: str) -> Array:
         """Return a writable view of a per-particle vector: x, v, omega, f, torque; or dragforce."""
@@ -138,12 +137,12 @@ class Library:
     def scalar(self, compute: str) -> float:
         """Return the value of a compute, now."""
         address = self._lib.lammps_extract_compute(self._handle, compute.encode(), 0, 0)
-        return float(ctypes.cast(address, ctypes.POINTER(ctypes.c_double))[0])
+        return ctypes.c_double.from_address(address).value
 
     def mean(self, fix: str) -> float:
         """Return the value of a ``fix ave/time`` with one column."""
         address = self._lib.lammps_extract_fix(self._handle, fix.encode(), 0, 0, 0, 0)
-        value = float(ctypes.cast(address, ctypes.POINTER(ctypes.c_double))[0])
+        value = ctypes.c_double.from_address(address).value
         self._libc.free(address)
         return value
 
@@ -159,12 +158,18 @@ class Library:
     def _global(self, name: str) -> int:
         return int(self._lib.lammps_extract_global(self._handle, name.encode()))
 
-    @staticmethod
-    def _table(address: int, rows: int, columns: int) -> Array:
+    @classmethod
+    def _table(cls, address: int, rows: int, columns: int) -> Array:
+        """Return a view of a table, given where its rows' addresses begin; its rows follow each other."""
         if rows == 0:
             return np.empty((0, columns))
-        start = ctypes.cast(address, ctypes.POINTER(ctypes.POINTER(ctypes.c_double)))[0]
-        return np.ctypeslib.as_array(start, (rows, columns))
+        first = ctypes.c_size_t.from_address(address).value
+        return cls._view(first, ctypes.c_double, rows * columns).reshape(rows, columns)
+
+    @staticmethod
+    def _view(address: int, kind: type[Any], length: int) -> NDArray[Any]:
+        # Several times quicker than numpy.ctypeslib.as_array, and there are a dozen in each interval.
+        return np.frombuffer((kind * length).from_address(address), dtype=kind)
 
 
 class Child:
@@ -186,8 +191,11 @@ class Child:
         """Put positions and velocities into the shared arrays, by id; return what every answer holds."""
         rows = self.lib.rows
         if len(rows) == len(self.shared.x):
-            self.shared.x[rows] = self.lib.vectors("x")
-            self.shared.v[rows] = self.lib.vectors("v")
+            # By the inverse of rows: to take rows of three is ten times quicker than to put them.
+            places = np.empty_like(rows)
+            places[rows] = np.arange(len(rows))
+            for name, to in (("x", self.shared.x), ("v", self.shared.v)):
+                self.lib.vectors(name).take(places, axis=0, out=to, mode="clip")
             if self.given["period"] is not None:
                 # LIGGGHTS brings a particle back into a periodic box only when it makes neighbour lists.
                 self.shared.x[:, 1] %= float(self.given["period"])
@@ -202,7 +210,7 @@ class Child:
     def run(self, steps: int) -> dict[str, Any]:
         """Hold the shared force and run ``steps``; reactions and overlaps of this interval."""
         rows = self.lib.rows
-        force = self.shared.force[rows]
+        force = self.shared.force.take(rows, axis=0)
         old = self.lib.vectors("dragforce")[:, 2].sum()
         if self._fresh:
             old = force[:, 2].sum()

@@ -29,6 +29,8 @@ SKIN = 0.25
 #: Distance in diameters within which an opened contact is forgotten. The gap grows by v dt in a step, and with N steps
 #: per contact and overlap x d, v dt is about pi x d/N: 0.016 d for x = 0.1, N = 20.
 NEAR = 1.05
+#: Up to so many particles each is compared with each: bins of a particle's size are many in a large column.
+FEW = 20
 #: A periodic column is at least so many diameters deep: no particle may touch another and its image.
 LEAST_PERIODIC = 3.0
 
@@ -104,6 +106,7 @@ def deck_context(model: BedModel, *, restart: bool = False) -> dict[str, object]
         "periodic": scene.column.front_back == "periodic",
         "restart": restart,
         "skin": SKIN * scene.particles.diameter,
+        "neighbours": "nsq" if scene.particles.count <= FEW else "bin",
         "near": NEAR,
         "walls": walls(scene),
         "gravity": scene.gravity,

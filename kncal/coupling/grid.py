@@ -13,6 +13,7 @@ Labels = NDArray[np.int32]
 
 #: Parcels stay this far inside the mesh [cells]: the solver looks for a parcel on the boundary for ever.
 MARGIN = 1e-3
+_FINITE = float(np.finfo(np.float64).max)
 
 
 class Grid:
@@ -58,16 +59,19 @@ class Grid:
 
         A periodic column is wrapped in y; in a layer y becomes the middle of the depth.
         """
-        inside = np.array(x, dtype=np.float64)
-        if self._front_back == "periodic":
-            inside[:, 1] %= self.size[1]
-        elif self._front_back == "layer":
-            inside[:, 1] = 0.5 * self.size[1]
         low, high = self.limits()
-        np.clip(inside, low, high, out=inside)
-        # High points are still below the last face, whatever the rounding of the division.
-        i, j, k = np.minimum((inside / self.h).astype(np.int64), self.shape - 1).T
-        return inside, self._label(i, j, k)
+        places, cells = [], []
+        for axis in range(3):  # one by one: numpy is slow along an axis of three
+            at = x[:, axis]
+            if axis == 1 and self._front_back == "periodic":
+                at = at % self.size[1]
+            elif axis == 1 and self._front_back == "layer":
+                at = np.full(len(x), 0.5 * self.size[1])
+            at = np.clip(at, low[axis], high[axis])
+            places.append(at)
+            # High points are still below the last face, whatever the rounding of the division.
+            cells.append(np.minimum((at / self.h[axis]).astype(np.int64), self.shape[axis] - 1))
+        return np.stack(places, axis=1), self._label(*cells)
 
     def limits(self) -> tuple[Array, Array]:
         """Return the corners (3,), (3,) of the region where parcels may be [m]."""
@@ -81,25 +85,31 @@ class Grid:
         RunError
             Naming the first such particle.
         """
-        bounded = [0, 2] if self._front_back == "periodic" else [0, 1, 2]
-        slack = 1e-9 * self.size
-        inside = (x >= -slack) & (x <= self.size + slack)
-        bad = ~inside[:, bounded].all(axis=1) | ~np.isfinite(x).all(axis=1)
+        bad = np.zeros(len(x), dtype=bool)
+        for axis in range(3):
+            slack = 1e-9 * self.size[axis]
+            low, high = -slack, self.size[axis] + slack
+            if axis == 1 and self._front_back == "periodic":
+                low, high = -_FINITE, _FINITE
+            at = x[:, axis]
+            bad |= ~((at >= low) & (at <= high))  # so is what is not a number
         if bad.any():
             row = int(np.argmax(bad))
             box = " x ".join(f"{value:g}" for value in self.size)
             raise RunError(
                 f"{int(bad.sum())} of {len(x)} particles are outside the gas column ({box} m), the first is particle "
-                f"{row + 1} at {x[row].tolist()} m: they passed a wall (time step too long, or contact too soft)"
+                f"{row + 1} at {x[row].tolist()} m: they passed a wall (time step too long, or contact too soft)",
+                "lost-particles",
             )
 
     def to_field(self, values: Array) -> Array:
         """Return cell values in the solver's order, (count,) or (count, 3), as (nz, ny, nx) or (nz, ny, nx, 3)."""
-        return np.ascontiguousarray(values[self.labels])
+        field: Array = values.take(self.labels, axis=0)
+        return field
 
     def _label(self, i: NDArray[np.int64], j: NDArray[np.int64], k: NDArray[np.int64]) -> Labels:
         ny, nz = self.shape[1], self.shape[2]
-        start, width = self._start[i], self._width[i]
+        start, width = self._start.take(i), self._width.take(i)
         labels: Labels = (start * (ny * nz) + (i - start) + width * (j + ny * k)).astype(np.int32)
         return labels
 

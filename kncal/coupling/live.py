@@ -77,6 +77,7 @@ class LiveGas:
         self._time_limit = float(positive("time_limit", time_limit, unit="s"))
         write_case(setup, self._folder, end_time=setup.step, write_interval=_NEVER, functions=_FUNCTIONS)
         self._cpu = make_mesh(self._folder)
+        self._exchange_cpu = 0.0
         self._exchange = Exchange(setup)
         self._inlet = inlet_velocity(setup)
         self._solver: SolverProcess | None = None
@@ -111,7 +112,8 @@ class LiveGas:
             self.close()
             raise RunError(
                 f"{SOLVER} returned {returned} of {count} parcels: the others left the mesh during the gas step; "
-                "shorten the step (a particle may not move more than half its diameter in it)"
+                "shorten the step (a particle may not move more than half its diameter in it)",
+                "lost-particles",
             )
         take = self._memory.take
         return self._exchange.finish(
@@ -176,10 +178,16 @@ class LiveGas:
         """CPU time of OpenFOAM's processes so far [s]."""
         return self._cpu + (0.0 if self._solver is None else self._solver.cpu_seconds)
 
+    @property
+    def exchange_seconds(self) -> float:
+        """The part of `cpu_seconds` that the adapter took to give and take parcels and fields [s]."""
+        return self._exchange_cpu if self._closed else self._memory.cpu_seconds()
+
     def close(self) -> None:
         """End the solver; leaves no process, descriptor or shared memory behind. May be called twice."""
         if self._closed:
             return
+        self._exchange_cpu = self._memory.cpu_seconds()
         self._closed = True
         self._memory.close()
         if self._solver is None or self._solver.ended:
@@ -221,7 +229,8 @@ class LiveGas:
             if error.timed_out:
                 raise RunError(
                     f"{SOLVER} did not answer within {self._time_limit:g} s and was stopped; its last line: "
-                    f"{result.last_lines[-1]!r}; see {solver.log}"
+                    f"{result.last_lines[-1]!r}; see {solver.log}",
+                    "peer-died",
                 ) from error
             if result.returncode == 0 and not self._attached:
                 words = [line for line in result.last_lines if "ncalExchange" in line or "dlopen" in line]

@@ -16,8 +16,9 @@ from kncal.checks import Array
 from kncal.coupling.forces import Parcels
 
 VERSION = 1
-_HEADER = 64  # bytes: version, parcels, room for parcels, cells, inlet faces, padding (int32); inlet velocity (float64)
-_PARCELS, _INLET = 1, 3  # where the number of parcels (as int32) and the inlet velocity (as float64) are in it
+# bytes: version, parcels, room for parcels, cells, inlet faces, padding (int32); inlet velocity, CPU time (float64)
+_HEADER = 64
+_PARCELS, _INLET, _CPU = 1, 3, 4  # where the number of parcels is in it, as int32; and the other two, as float64
 
 
 class ExchangeMemory:
@@ -85,6 +86,10 @@ class ExchangeMemory:
     def count(self) -> int:
         """Return the number of parcels after the step."""
         return int(self._arrays["integers"][_PARCELS])
+
+    def cpu_seconds(self) -> float:
+        """Return the CPU time that the adapter itself has taken in the solver's process [s]."""
+        return float(self._arrays["numbers"][_CPU])
 
     def take(self, name: str, count: int | None = None) -> Array:
         """Return a copy of (the first ``count`` rows of) an array that the solver has written."""

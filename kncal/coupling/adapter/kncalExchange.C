@@ -24,6 +24,7 @@
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
+#include <ctime>
 #include <poll.h>
 #include <sys/mman.h>
 #include <sys/socket.h>
@@ -50,7 +51,8 @@ class kncalExchange
         int nInlet;          // faces of the inlet patch
         int padding;
         double inlet;        // inlet velocity of the coming steps [m/s]; NaN: as the case says
-        double spare[4];
+        double cpu;          // out: CPU time that this library has taken so far [s]
+        double spare[3];
     };
     static_assert(sizeof(Header) == 64, "layout of the mapping");
 
@@ -241,7 +243,22 @@ class kncalExchange
         alpha.correctBoundaryConditions();
     }
 
-    // Serve commands until the next step is due or the end is asked for
+    static double clock()
+    {
+        struct timespec now;
+        ::clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
+        return now.tv_sec + 1e-9*now.tv_nsec;
+    }
+
+    // Publish a finished step, and serve until the next one is due or the end is asked for; told is what that cost
+    void exchange(const bool finished)
+    {
+        const double begin = clock();
+        if (finished) publish();
+        serve();
+        header_->cpu += clock() - begin;
+    }
+
     void serve()
     {
         for (;;)
@@ -354,7 +371,7 @@ public:
         attach();
         // The case asks for one step only, so that a run without this library (a mere warning) ends at once
         const_cast<Time&>(time_).setEndTime(GREAT);
-        serve();
+        exchange(false);
     }
 
     virtual bool read(const dictionary&) { return true; }
@@ -362,8 +379,7 @@ public:
     // At the top of every further step
     virtual bool execute()
     {
-        publish();
-        serve();
+        exchange(true);
         return true;
     }
 
