@@ -38,6 +38,7 @@ CODES = (
     "empty-output",
     "truncated-output",
     "not-finite",
+    "disk-full",
 )
 
 _FULL_DISK = 1 << 16  # bytes left below which the disk is called full
@@ -177,14 +178,16 @@ def _killed(run: _Evidence) -> Diagnosis | None:
 def _no_end_marker(run: _Evidence) -> Diagnosis | None:
     if run.log.finished:
         return None
+    code = "no-end-marker"
     if _disk_is_full(run.log_path.parent):
+        code = "disk-full"
         why = f"the disk of {run.log_path.parent} is full: make room and run again"
     elif run.log.last_step is None:
         why = "is the deck empty, or does it not end with that print?"
     else:
         why = "was it ended by a signal from elsewhere (scancel, kill)? LIGGGHTS then exits with 0"
     return Diagnosis(
-        code="no-end-marker",
+        code=code,
         message=f"LIGGGHTS stopped early, {run.reached()}: its log has no line {END_MARKER!r}; {why}; "
         f"last lines: {_tail(run)}; log: {run.log_path}",
     )
@@ -214,9 +217,10 @@ def _dump(run: _Evidence) -> Diagnosis | None:
     try:
         table = run.dump
     except ReadError as error:
-        full = "; the disk is full" if _disk_is_full(run.dump_path.parent) else ""
+        if _disk_is_full(run.dump_path.parent):
+            return Diagnosis(code="disk-full", message=f"{error}; the disk is full")
         empty = not run.dump_path.is_file() or run.dump_path.stat().st_size == 0
-        return Diagnosis(code="empty-output" if empty else "truncated-output", message=f"{error}{full}")
+        return Diagnosis(code="empty-output" if empty else "truncated-output", message=str(error))
     if table.empty:
         return Diagnosis(code="empty-output", message=f"{run.dump_path}: no frame holds a particle")
     steps, counts = np.unique(table["step"].to_numpy(), return_counts=True)

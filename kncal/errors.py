@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+
 
 class KncalError(Exception):
     """Base of every error that kncal raises on purpose; its text is meant for the user."""
@@ -28,7 +30,11 @@ class ReadError(KncalError, ValueError):
 
 
 class RunError(KncalError, RuntimeError):
-    """A solver run did not end as it should."""
+    """A solver run did not end as it should; ``failure`` says of what kind (`kncal.engines.base.FAILURES`)."""
+
+    def __init__(self, text: str, failure: str = "solver-error") -> None:
+        super().__init__(text)
+        self.failure = failure
 
 
 class InterruptedRunError(RunError):
@@ -37,3 +43,14 @@ class InterruptedRunError(RunError):
 
 class SolverMissingError(RunError):
     """The solver's program is not installed or cannot be started."""
+
+
+def failure_of(error: BaseException) -> str:
+    """Return what kind of failure an error is, one of `kncal.engines.base.FAILURES`."""
+    if isinstance(error, RunError):
+        return error.failure
+    if isinstance(error, OSError):
+        return "disk-full" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "solver-error"
+    if isinstance(error, ReadError):
+        return "truncated-output"
+    return "bad-input" if isinstance(error, KncalError) else "solver-error"

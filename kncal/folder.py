@@ -1,7 +1,8 @@
 """The run folder: what is in it, where it came from, and how it is taken up again.
 
 OUT/case.toml  OUT/manifest.json         the scene as it was run, and its hash
-OUT/linear/    OUT/hertz/                one folder a model: solver input, log, frames, manifest.json, result.json
+OUT/linear/    OUT/hertz/                one folder a model: solver input, log, frames, and three records:
+    manifest.json                        what was rendered; started.json: who started it; result.json: how it ended
 OUT/.lock                                held by the run that owns the folder
 OUT/report/                              index.html and its pictures
 OUT/attempt-1/ ...                       what an earlier run left, moved aside
@@ -10,10 +11,12 @@ OUT/attempt-1/ ...                       what an earlier run left, moved aside
 from __future__ import annotations
 
 import hashlib
+import os
 import platform
 import shutil
+import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -27,12 +30,13 @@ from kncal.bed.scene import BedScene
 from kncal.case_file import dump_case, load_case
 from kncal.engines.base import FRAMES, Profile, RunResult
 from kncal.errors import ReadError, RenderError, RunError
+from kncal.foreign_templates import foreign_hashes
 from kncal.io.tables import read_json, write_json
 from kncal.lock import LOCK, locked, sign
 from kncal.model import Model
 from kncal.scene import Scene
 
-MANIFEST, RESULT, CASE = "manifest.json", "result.json", "case.toml"
+MANIFEST, STARTED, RESULT, CASE, REPORT = "manifest.json", "started.json", "result.json", "case.toml", "report"
 #: What a bed run leaves for its numbers, as ``particles.dump`` of a single contact.
 SERIES = "series.csv"
 
@@ -44,10 +48,10 @@ def sha256(path: Path) -> str:
 
 
 @contextmanager
-def case_folder(scene: Scene | BedScene, out: Path) -> Iterator[int]:
+def case_folder(scene: Scene | BedScene, out: Path, *, keep: bool = False) -> Iterator[int]:
     """Make ``out`` ready for ``scene`` and hold it (see `kncal.lock`): gives the lock's descriptor for the solver.
 
-    What an earlier run left there is moved to ``attempt-N``.
+    What an earlier run left there is moved to ``attempt-N``; with ``keep`` only if it was another case.
 
     Raises
     ------
@@ -63,67 +67,134 @@ def case_folder(scene: Scene | BedScene, out: Path) -> Iterator[int]:
         _check_ours(out)
         sign(descriptor)
         if (out / MANIFEST).is_file():
-            _move_aside(out)
-        (out / CASE).write_text(dump_case(scene), encoding="utf-8")
-        write_json(
-            out / MANIFEST,
-            {"kncal": __version__, "case": scene.name, "case_sha256": sha256(out / CASE), "created": _now()},
-        )
+            if keep and _same_case(scene, out):
+                refuse_links(out)
+                yield descriptor
+                return
+            set_aside(out)
+        text = dump_case(scene).encode()
+        digest = hashlib.sha256(text).hexdigest()
+        # The manifest first: it says whose folder this is, should kncal be killed before the next line.
+        write_json(out / MANIFEST, {"kncal": __version__, "case": scene.name, "case_sha256": digest, "created": _now()})
+        (out / CASE).write_bytes(text)
         yield descriptor
 
 
 def _check_ours(out: Path) -> None:
-    if out.is_dir() and not (out / MANIFEST).is_file() and any(path.name != LOCK for path in out.iterdir()):
+    if out.is_dir() and not (out / MANIFEST).is_file() and not all(map(_left_behind, out.iterdir())):
         raise RenderError(
             f"{out}: the folder holds files and no kncal {MANIFEST}; choose an empty folder with --out, "
             "nothing was changed"
         )
 
 
-def _move_aside(out: Path) -> None:
+def _left_behind(path: Path) -> bool:
+    """Return whether this may be there without a manifest: what a start leaves that is killed just then."""
+    half_written = path.name.startswith(f".{MANIFEST}.") and path.name.endswith(".part")
+    return path.name == LOCK or half_written or (path.name.startswith("attempt-") and path.is_dir())
+
+
+def _same_case(scene: Scene | BedScene, out: Path) -> bool:
+    text = dump_case(scene).encode()
+    return (out / CASE).is_file() and (out / CASE).read_bytes() == text
+
+
+def set_aside(out: Path, kinds: Iterable[str] | None = None) -> Path:
+    """Move what earlier runs left in ``out`` to a new ``attempt-N``, and return that.
+
+    With ``kinds`` only the folders of these models and the report on them; the case is copied, so that the attempt can
+    still be read.
+    """
     number = 1
     while (attempt := out / f"attempt-{number}").exists():
         number += 1
+    names = None if kinds is None else {*kinds, REPORT}
     old = [path for path in out.iterdir() if path.name != LOCK and not path.name.startswith("attempt-")]
     attempt.mkdir()
-    for path in old:
-        shutil.move(path, attempt / path.name)
+    for path in sorted(old, key=lambda path: path.name == MANIFEST):  # the manifest last, see `_check_ours`
+        if names is None or path.name in names:
+            shutil.move(path, attempt / path.name)
+        elif path.name in (CASE, MANIFEST):
+            shutil.copyfile(path, attempt / path.name)
+    return attempt
+
+
+def refuse_links(out: Path) -> None:
+    """Refuse a run folder that holds symbolic links, before anything is written into it again.
+
+    kncal makes none; in a folder from elsewhere they could lead a run to write, or to delete, outside of it.
+
+    Raises
+    ------
+    RenderError
+        Naming the first link.
+    """
+    for place, folders, files in os.walk(out, followlinks=False):
+        for name in (*folders, *files):
+            if (path := Path(place, name)).is_symlink():
+                raise RenderError(f"{path}: a symbolic link, which kncal does not make: remove it to go on in {out}")
+
+
+def model_manifest(
+    model: Model | BedModel,
+    folder: Path,
+    profile: Profile,
+    command: list[str],
+    *,
+    steps: int,
+    t_end: float,
+    ranks: int = 1,
+) -> dict[str, Any]:
+    """Return what ``manifest.json`` of one model's folder holds: what was rendered, for which solver, by whom."""
+    files = {p.name: sha256(p) for p in sorted(folder.iterdir()) if p.is_file() and p.name != MANIFEST}
+    return {
+        "kncal": __version__,
+        "case": model.scene.name,
+        "case_sha256": hashlib.sha256(dump_case(model.scene).encode()).hexdigest(),
+        "model": model.kind,
+        "engine": profile.engine,
+        "solver": {
+            "program": str(profile.program or ""),
+            "version": profile.version,
+            "sha256": sha256(profile.program) if profile.program else "",
+            "warning": profile.warning,
+        },
+        "command": command,
+        "ranks": ranks,
+        "environment": dict(profile.environment),
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "dt": model.dt,
+        "steps": steps,
+        "t_end": t_end,
+        "contacts": {
+            f"{a}–{b}": {k: v for k, v in asdict(c).items() if v is not None} for (a, b), c in model.contacts.items()
+        },
+        "files_sha256": files,
+        "rendered": _now(),
+        **({"foreign_templates": dict(hashes)} if (hashes := foreign_hashes()) else {}),
+    }
 
 
 def write_model_manifest(
-    model: Model | BedModel, folder: Path, profile: Profile, command: list[str], *, steps: int, t_end: float
+    model: Model | BedModel,
+    folder: Path,
+    profile: Profile,
+    command: list[str],
+    *,
+    steps: int,
+    t_end: float,
+    ranks: int = 1,
 ) -> None:
-    """Write ``manifest.json`` of one model's folder: what was rendered, for which solver, by which kncal."""
-    files = {p.name: sha256(p) for p in sorted(folder.iterdir()) if p.is_file() and p.name != MANIFEST}
-    write_json(
-        folder / MANIFEST,
-        {
-            "kncal": __version__,
-            "case": model.scene.name,
-            "case_sha256": hashlib.sha256(dump_case(model.scene).encode()).hexdigest(),
-            "model": model.kind,
-            "engine": profile.engine,
-            "solver": {
-                "program": str(profile.program or ""),
-                "version": profile.version,
-                "sha256": sha256(profile.program) if profile.program else "",
-                "warning": profile.warning,
-            },
-            "command": command,
-            "environment": dict(profile.environment),
-            "python": platform.python_version(),
-            "platform": platform.platform(),
-            "dt": model.dt,
-            "steps": steps,
-            "t_end": t_end,
-            "contacts": {
-                f"{a}–{b}": {k: v for k, v in asdict(c).items() if v is not None}
-                for (a, b), c in model.contacts.items()
-            },
-            "files_sha256": files,
-            "rendered": _now(),
-        },
-    )
+    """Write ``manifest.json`` of one model's folder; see `model_manifest`."""
+    data = model_manifest(model, folder, profile, command, steps=steps, t_end=t_end, ranks=ranks)
+    write_json(folder / MANIFEST, data)
+
+
+def write_started(folder: Path) -> None:
+    """Write ``started.json`` of one model's folder: a run began; what is no longer true goes."""
+    (folder / RESULT).unlink(missing_ok=True)
+    write_json(folder / STARTED, {"pid": os.getpid(), "host": socket.gethostname(), "started": _now()})
 
 
 def write_result(result: RunResult) -> None:
@@ -180,7 +251,10 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     path = folder / MANIFEST
     if not path.is_file():
         raise ReadError(f"{folder}: no {MANIFEST}; expected a model's run folder, e.g. runs/wall_impact/hertz")
-    return _parse(_Manifest, path).model_dump()
+    data = _parse(_Manifest, path).model_dump()
+    if not data["foreign_templates"]:
+        del data["foreign_templates"]
+    return data
 
 
 def read_model_folder(folder: Path) -> tuple[Scene | BedScene, str, str]:
@@ -240,6 +314,7 @@ class _Result(_Record):
     version: str
     returncode: int | None = None
     message: str
+    failure: str = ""
     log: _FileName
     extra: _Extra
     files_sha256: _Digests
@@ -263,6 +338,7 @@ class _Manifest(_Record):
     engine: str
     solver: _Solver
     command: list[str]
+    ranks: Annotated[int, Field(ge=1)] = 1
     environment: dict[str, str]
     python: str
     platform: str
@@ -272,6 +348,7 @@ class _Manifest(_Record):
     contacts: dict[str, dict[str, Any]]
     files_sha256: _Digests
     rendered: str
+    foreign_templates: dict[str, Annotated[str, Field(pattern="^[0-9a-f]{64}$")]] = {}
 
 
 _R = TypeVar("_R", bound=_Record)

@@ -160,7 +160,9 @@ def integrate(model: Model, progress: Callable[[int, int], None] | None = None) 
             next_frame = min(last, step + max(model.record_every, free))
         if step >= next_report or step == last:
             if not math.isfinite(sum(x) + sum(v) + sum(spin)):
-                raise RunError(f"step {step}: a position or velocity is not finite: expected a smaller time step")
+                raise RunError(
+                    f"step {step}: a position or velocity is not finite: expected a smaller time step", "not-finite"
+                )
             if progress is not None:
                 progress(step, last)
             next_report = step + REPORT_EVERY

@@ -19,14 +19,20 @@ from kncal.errors import RenderError
 LOCK = ".lock"
 
 
+class FolderInUseError(RenderError):
+    """Another process holds the lock of the folder."""
+
+
 @contextmanager
 def locked(out: Path) -> Iterator[int]:
     """Hold the lock of the run folder ``out`` (exists); gives the descriptor for the solver to inherit.
 
     Raises
     ------
+    FolderInUseError
+        If another process holds it (the text names its number, host and start).
     RenderError
-        If another process holds it (the text names its number, host and start), or the folder cannot be locked.
+        If the folder cannot be locked.
     """
     path = out / LOCK
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
@@ -35,7 +41,7 @@ def locked(out: Path) -> Iterator[int]:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             owner = os.pread(descriptor, 300, 0).decode("utf-8", errors="replace").strip()
-            raise RenderError(
+            raise FolderInUseError(
                 f"{out}: in use by {owner or 'another run that is just starting'} (or by a solver it left behind); "
                 "wait for its end, or choose another --out; nothing was changed"
             ) from error

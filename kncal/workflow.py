@@ -15,17 +15,29 @@ from typing import Any
 from kncal.bed.scene import BedScene
 from kncal.checks import in_range, one_of, positive
 from kncal.compare import Comparison, RunData
+from kncal.earlier import Tell, take_up
 from kncal.engines.base import Engine, Progress, RunResult, run_result
-from kncal.errors import CaseFileError, InputError, InterruptedRunError, ReadError, RunError, SolverMissingError
+from kncal.errors import (
+    CaseFileError,
+    InputError,
+    InterruptedRunError,
+    ReadError,
+    RunError,
+    SolverMissingError,
+    failure_of,
+)
 from kncal.folder import (
+    MANIFEST,
     RESULT,
     case_folder,
+    model_manifest,
     read_manifest,
     read_model_folder,
     read_result,
-    write_model_manifest,
     write_result,
+    write_started,
 )
+from kncal.io.tables import write_json
 from kncal.model import KINDS, Model
 from kncal.observe import observe
 from kncal.planning import plan
@@ -38,38 +50,42 @@ ENGINES = ("liggghts", "builtin", "liggghts-hooke")
 ProgressFor = Callable[[str], Progress | None]
 
 
-def get_engine(name: str) -> Engine:
-    """Return an engine by name.
+def get_engine(name: str, *, ranks: int = 1, oversubscribe: bool = False) -> Engine:
+    """Return an engine by name, for runs on ``ranks`` ranks (see `kncal.mpi.check_ranks`).
 
     Raises
     ------
     InputError
-        For an unknown name.
+        For an unknown name, or a number of ranks that cannot be.
     """
     one_of("engine", name, ENGINES)
     if name == "builtin":
+        if ranks != 1:
+            raise InputError(f"ranks = {ranks}: the engine builtin computes in kncal's own process; expected 1")
         from kncal.engines.builtin import Builtin
 
         return Builtin()
     from kncal.engines.liggghts import Liggghts
 
-    return Liggghts("hooke" if name == "liggghts-hooke" else "hooke/stiffness")
+    style = "hooke" if name == "liggghts-hooke" else "hooke/stiffness"
+    return Liggghts(style, ranks=ranks, oversubscribe=oversubscribe)
 
 
 def render_case(scene: Scene, engine: Engine, out: Path, kinds: Iterable[str] = KINDS) -> Mapping[str, Model]:
     """Write the case folder: one subfolder with solver input per model, manifests, the case itself.
 
-    Returns the models by kind. Whatever can be refused is refused before anything is written or moved.
+    Returns the models by kind. Whatever can be refused is refused before anything is written or moved; what an earlier
+    run left in ``out`` is moved to ``attempt-N``.
     """
-    with _rendered(scene, engine, out, kinds) as (models, _):
+    with _rendered(scene, engine, out, kinds, anew=True, repeat=1, tell=None) as (models, _, _):
         return models
 
 
 @contextmanager
 def _rendered(
-    scene: Scene, engine: Engine, out: Path, kinds: Iterable[str]
-) -> Iterator[tuple[Mapping[str, Model], int]]:
-    """Render into ``out`` and own it: gives the models, and the lock's descriptor for the solver to inherit."""
+    scene: Scene, engine: Engine, out: Path, kinds: Iterable[str], *, anew: bool, repeat: int, tell: Tell | None
+) -> Iterator[tuple[Mapping[str, Model], dict[str, RunResult], int]]:
+    """Render into ``out`` and own it: the models, finished results that are kept, the lock for the solvers."""
     kinds = tuple(one_of("model", kind, KINDS) for kind in kinds)
     models = plan(scene, kinds)
     profile = engine.profile()
@@ -78,12 +94,26 @@ def _rendered(
         for kind, model in models.items():
             (draft / kind).mkdir()
             engine.render(model, draft / kind)
-        with case_folder(scene, out) as lock:
-            for kind, model in models.items():
-                shutil.copytree(draft / kind, out / kind)
-                command = list(engine.command(model))
-                write_model_manifest(model, out / kind, profile, command, steps=model.n_steps, t_end=model.t_end)
-            yield models, lock
+        with case_folder(scene, out, keep=not anew) as lock:
+            manifests = {
+                kind: model_manifest(
+                    model,
+                    draft / kind,
+                    profile,
+                    list(engine.command(model)),
+                    steps=model.n_steps,
+                    t_end=model.t_end,
+                    ranks=engine.ranks,
+                )
+                for kind, model in models.items()
+            }
+            found = take_up(out, manifests, repeat=repeat, tell=tell)
+            kept = {kind: earlier.result for kind, earlier in found.items() if earlier.result is not None}
+            for kind, manifest in manifests.items():
+                if kind not in kept:
+                    shutil.copytree(draft / kind, out / kind)
+                    write_json(out / kind / MANIFEST, manifest)
+            yield models, kept, lock
 
 
 def run_case(
@@ -95,8 +125,13 @@ def run_case(
     timeout: float | None = None,
     progress_for: ProgressFor | None = None,
     repeat: int = 1,
+    anew: bool = False,
+    tell: Tell | None = None,
 ) -> dict[str, RunResult]:
     """Render and run the models, and stop at the first that does not complete.
+
+    A model whose completed run is in ``out``, of the same input by the same solver, is not run again (``anew``: it is).
+    Whatever else was there is moved to ``attempt-N``. ``tell`` is called with a sentence about each such model.
 
     With ``repeat`` > 1 the models are run in turn that many times (A B A B ...), so that their CPU times are comparable
     on a busy machine; the frames kept are the last run's, the CPU seconds of all stand in ``extra["cpu_samples"]``.
@@ -122,10 +157,10 @@ def run_case(
     results: dict[str, RunResult] = {}
     samples: dict[str, list[float]] = {kind: [] for kind in KINDS}
     try:
-        with _rendered(scene, engine, out, kinds) as (models, lock):
-            for kind, model in list(models.items()) * repeat:
-                # a marker of an earlier repeat would vouch for files that this one is writing
-                (out / kind / RESULT).unlink(missing_ok=True)
+        with _rendered(scene, engine, out, kinds, anew=anew, repeat=repeat, tell=tell) as (models, kept, lock):
+            results |= kept
+            for kind, model in [item for item in models.items() if item[0] not in kept] * repeat:
+                write_started(out / kind)  # a result of an earlier repeat would vouch for what this one is writing
                 progress = progress_for(kind) if progress_for else None
                 try:
                     result = engine.run(model, out / kind, timeout=timeout, progress=progress, pass_fds=(lock,))
@@ -137,10 +172,10 @@ def run_case(
                 results[kind] = replace(result, extra=extra)
                 write_result(results[kind])
                 if result.status != "completed":
-                    return results
+                    break
     except OSError as error:
-        raise RunError(f"{error.filename or out}: {error.strerror or error}") from error
-    return results
+        raise RunError(f"{error.filename or out}: {error.strerror or error}", failure_of(error)) from error
+    return {kind: results[kind] for kind in KINDS if kind in results}
 
 
 def require_completed(results: Iterable[RunResult]) -> None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable
+import tempfile
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,25 +18,26 @@ from kncal.bed.planning import plan_bed
 from kncal.bed.report import write_bed_report
 from kncal.bed.scene import BedScene
 from kncal.bed.series import read_series, write_series_csv
-from kncal.case_file import dump_case
 from kncal.checks import Array, one_of, positive
-from kncal.coupling.loop import Progress
-from kncal.engines.base import RunResult
-from kncal.engines.coupled import Coupled
-from kncal.errors import CaseFileError, ReadError, SolverMissingError
+from kncal.coupling.loop import Progress, last_checkpoint
+from kncal.earlier import Tell, take_up
+from kncal.engines.base import Profile, RunResult
+from kncal.engines.coupled import Coupled, check_bed_ranks
+from kncal.errors import CaseFileError, ReadError, RunError, SolverMissingError, failure_of
 from kncal.folder import (
-    CASE,
-    RESULT,
+    MANIFEST,
     SERIES,
     case_folder,
+    model_manifest,
     read_manifest,
     read_model_folder,
     read_result,
-    write_model_manifest,
     write_result,
+    write_started,
 )
-from kncal.lock import locked
+from kncal.io.tables import write_json
 from kncal.model import KINDS
+from kncal.resources import cache_folder
 from kncal.workflow import require_completed
 
 POSITIONS = "positions.npy"
@@ -80,83 +83,104 @@ def run_bed(
     transport: str = "auto",
     timeout: float | None = None,
     progress_for: ProgressFor | None = None,
+    anew: bool = False,
+    tell: Tell | None = None,
+    ranks: int = 1,
+    oversubscribe: bool = False,
 ) -> dict[str, RunResult]:
     """Run a bed with each model from the same packing, and stop at the first that does not complete.
 
-    Every started run leaves its ``result.json``.
+    A model whose completed run is in ``out``, of the same input by the same solvers, is not run again; one that was
+    stopped goes on from its last complete checkpoint (``anew``: both start again). What else was there is moved to
+    ``attempt-N``. ``tell`` is called with a sentence about each such model. Every started run leaves its
+    ``result.json``.
 
     Raises
     ------
     CaseFileError
         If a limit refuses the run; nothing is written then.
+    InputError
+        If there are several ``ranks`` and the bed cannot use them (`kncal.engines.coupled.check_bed_ranks`).
     RunError
         If the packing fails or the folder cannot be written.
     """
     if timeout is not None:
         positive("timeout", timeout, unit="s")
-    engine = Coupled(transport)
+    engine = Coupled(transport, ranks=ranks, oversubscribe=oversubscribe)
+    check_bed_ranks(scene, ranks)
     profile = engine.profile()
     if profile.program is None:
         raise SolverMissingError(profile.problem)
     models = plan_checked(scene, kinds)
     positions = start_positions(scene)
     results: dict[str, RunResult] = {}
-    with case_folder(scene, out):
-        for kind, model in models.items():
-            folder = out / kind
-            folder.mkdir()
-            np.save(folder / POSITIONS, positions, allow_pickle=False)
-            steps = model.couplings * model.steps_per_coupling
-            write_model_manifest(model, folder, profile, [], steps=steps, t_end=model.couplings * model.coupling)
-            results[kind] = _run(engine, model, folder, positions, timeout, progress_for, resume=False)
-            if results[kind].status != "completed":
-                break
-    return results
-
-
-def resume_bed(
-    scene: BedScene,
-    out: Path,
-    *,
-    transport: str = "auto",
-    timeout: float | None = None,
-    progress_for: ProgressFor | None = None,
-) -> dict[str, RunResult]:
-    """Go on with the unfinished models in ``out``, each from its last complete checkpoint, or from its start.
-
-    Raises
-    ------
-    CaseFileError
-        If ``out`` does not hold runs of this very case.
-    """
-    case = out / CASE
-    if not case.is_file() or case.read_text(encoding="utf-8") != dump_case(scene):
-        raise CaseFileError(f"{out}: no run of this very case to go on with (was the case changed?); run it anew")
-    engine = Coupled(transport)
-    results: dict[str, RunResult] = {}
-    with locked(out):
-        for kind, model in plan_checked(scene, KINDS).items():
-            folder = out / kind
-            if not (folder / POSITIONS).is_file():
-                continue
-            if (folder / RESULT).is_file():
-                done = read_result(folder)
-                if done.status == "completed":
-                    results[kind] = done
+    try:
+        with case_folder(scene, out, keep=not anew):
+            manifests = _manifests(models, profile, positions, ranks)
+            found = take_up(out, manifests, checkpoints=_checkpoints(out, models), tell=tell)
+            for kind, model in models.items():
+                folder, earlier = out / kind, found[kind]
+                if earlier.result is not None:
+                    results[kind] = earlier.result
                     continue
-            positions = np.load(folder / POSITIONS, allow_pickle=False)
-            results[kind] = _run(engine, model, folder, positions, timeout, progress_for, resume=True)
-            if results[kind].status != "completed":
-                break
+                if earlier.action == "run":
+                    folder.mkdir()
+                    np.save(folder / POSITIONS, positions, allow_pickle=False)
+                    write_json(folder / MANIFEST, manifests[kind])
+                write_started(folder)
+                progress = progress_for(kind) if progress_for else None
+                resume = earlier.action == "go on"
+                results[kind] = _run(engine, model, folder, positions, timeout, progress, resume=resume)
+                if results[kind].status != "completed":
+                    break
+    except OSError as error:
+        raise RunError(f"{error.filename or out}: {error.strerror or error}", failure_of(error)) from error
     return results
+
+
+def _manifests(
+    models: Mapping[str, BedModel], profile: Profile, positions: Array, ranks: int
+) -> dict[str, dict[str, Any]]:
+    with tempfile.TemporaryDirectory(prefix="kncal-") as name:
+        draft = Path(name)
+        np.save(draft / POSITIONS, positions, allow_pickle=False)
+        return {
+            kind: model_manifest(
+                model,
+                draft,
+                profile,
+                [],
+                steps=model.couplings * model.steps_per_coupling,
+                t_end=model.couplings * model.coupling,
+                ranks=ranks,
+            )
+            for kind, model in models.items()
+        }
+
+
+def _checkpoints(out: Path, models: Mapping[str, BedModel]) -> dict[str, str]:
+    """Say where each unfinished model could go on."""
+    found = {kind: last_checkpoint(out / kind) for kind in models}
+    return {
+        kind: f"coupling {checkpoint[0]} of {models[kind].couplings}"
+        for kind, checkpoint in found.items()
+        if checkpoint is not None
+    }
 
 
 def start_positions(scene: BedScene) -> Array:
     """Return the centres (n, 3) [m] at the start, the same for both models (the packing is cached by its inputs)."""
     if scene.particles.count == 0:
         return np.zeros((0, 3))
-    logging.getLogger("kncal").info("packing %d particles", scene.particles.count)
-    return packing(plan_bed(scene, ("linear",))["linear"])
+    log = logging.getLogger("kncal")
+    log.info("packing %d particles", scene.particles.count)
+    try:
+        kept = cache_folder() / "packings"
+        kept.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        log.warning("settled packings cannot be kept (%s): each run settles its own", error)
+        kept = None
+    return packing(plan_bed(scene, ("linear",))["linear"], kept)
 
 
 def load_bed_run(folder: Path) -> BedRunData:
@@ -201,12 +225,10 @@ def _run(
     folder: Path,
     positions: Array,
     timeout: float | None,
-    progress_for: ProgressFor | None,
+    progress: Progress | None,
     *,
     resume: bool,
 ) -> RunResult:
-    (folder / RESULT).unlink(missing_ok=True)
-    progress = progress_for(model.kind) if progress_for else None
     result = engine.run(model, folder, positions, timeout=timeout, progress=progress, resume=resume)
     if result.status == "completed":
         write_series_csv(folder / SERIES, read_series(folder / "series"))

@@ -260,7 +260,7 @@ class LiggghtsDem:
             message = self._channel.recv(MAX_MESSAGE)
         except TimeoutError:
             self._end(0.0)
-            raise RunError(f"LIGGGHTS did not answer within {limit:.0f} s; log: {self._log}") from None
+            raise RunError(f"LIGGGHTS did not answer within {limit:.0f} s; log: {self._log}", "peer-died") from None
         except ConnectionError:
             message = b""
         except BaseException:
@@ -276,19 +276,21 @@ class LiggghtsDem:
         """Book an answer; refuse a state that no one should go on with."""
         shared = self._open()
         self._cpu = answer["cpu"]
-        problem = ""
+        problem, failure = "", "solver-error"
         if answer["count"] != self._count:
             problem = f"{answer['count']} of {self._count} particles are left: some left the column"
+            failure = "lost-particles"
         elif steps is not None and answer["step"] != self._step + steps:
             problem = f"it stopped at step {answer['step']}, expected {self._step + steps}: was it sent a signal?"
         elif not (np.isfinite(shared.x).all() and np.isfinite(shared.v).all()):
             problem = "positions or velocities are not finite: do two particles start at one point, is dt too large?"
+            failure = "not-finite"
         elif not answer["in_plane"]:
             problem = f"particles move or spin out of the plane y = {self._plane!r} m of the layer"
         self._step = answer["step"]
         if problem:
             self._end(0.0)
-            raise RunError(f"LIGGGHTS: {problem}; log: {self._log}")
+            raise RunError(f"LIGGGHTS: {problem}; log: {self._log}", failure)
 
     def _failure(self, code: int) -> RunError:
         how = f"ended by signal {-code} ({_signal_name(-code)})" if code < 0 else f"ended with exit code {code}"
@@ -297,9 +299,10 @@ class LiggghtsDem:
             return SolverMissingError(f"{LIBRARY} is not installed: apt-get install liggghts; log: {self._log}")
         errors = [line for line in lines if line.startswith("ERROR")]
         text = errors[0] if errors else " | ".join(lines[-3:]) or "(no output)"
+        failure = "peer-died" if code < 0 else "solver-error"
         if "lost atoms" in text.lower():
-            text = f"particles left the column (its counts mean nothing): {text}"
-        return RunError(f"LIGGGHTS {how}: {text}; log: {self._log}")
+            text, failure = f"particles left the column (its counts mean nothing): {text}", "lost-particles"
+        return RunError(f"LIGGGHTS {how}: {text}; log: {self._log}", failure)
 
     def _end(self, deadline: float) -> int:
         """Wait for the child's end until ``deadline``, then kill it; release everything. Return its exit code."""

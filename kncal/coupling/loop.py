@@ -120,7 +120,7 @@ class CoupledRun:
         TimeoutError
             If ``time_limit`` [s] is over; the last checkpoint is kept.
         """
-        model, started, cpu = self.model, time.monotonic(), time.process_time()
+        model, started, cpu = self.model, time.monotonic(), time.thread_time()
         saved = started
         with SeriesWriter(self.folder / "series", bed_facts(model, self._edges)) as series:
             x, v = self._state()
@@ -152,7 +152,7 @@ class CoupledRun:
             couplings=model.couplings - self._first,
             dem=0.0 if self.dem is None else self.dem.cpu_seconds,
             gas=0.0 if self.gas is None else self.gas.cpu_seconds,
-            exchange=time.process_time() - cpu,
+            exchange=time.thread_time() - cpu,
             wall=time.monotonic() - started,
         )
 
@@ -173,7 +173,8 @@ class CoupledRun:
             if self._weight > 0.0 and value > limit * self._weight:
                 raise RunError(
                     f"coupling {number}: {name} {value / self._weight:.3g} of the bed's weight, expected at most "
-                    f"{limit:g}: particles move too far in one gas step; take a smaller run.coupling or larger cells"
+                    f"{limit:g}: particles move too far in one gas step; take a smaller run.coupling or larger cells",
+                    "broken-invariant",
                 )
         return step
 

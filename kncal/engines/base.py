@@ -18,6 +18,13 @@ FRAMES = "particles.dump"
 #: The states a run can end in.
 STATUSES = ("completed", "failed", "timed_out", "interrupted", "not_installed")
 
+#: What a failed run died of. "killed" also stands for a run whose kncal or machine was stopped before it could say so,
+#: "broken-invariant" for a coupled run whose momentum or mass does not balance, "solver-error" for what a solver says.
+FAILURES = (
+    "lost-particles", "not-finite", "disk-full", "killed", "peer-died", "broken-invariant", "no-end-marker",
+    "wrong-last-step", "empty-output", "truncated-output", "solver-error", "bad-input",
+)  # fmt: skip
+
 #: Called while a run goes on with (steps done, steps in all).
 Progress = Callable[[int, int], None]
 
@@ -51,6 +58,7 @@ class RunResult:
     version : of the solver
     returncode : of the process, None for engines without one
     message : the decisive line(s) for a person, empty if completed
+    failure : what kind of failure, one of `FAILURES`; empty if it did not fail
     log : path of the solver's log, or None
     """
 
@@ -65,14 +73,19 @@ class RunResult:
     version: str
     returncode: int | None = None
     message: str = ""
+    failure: str = ""
     log: Path | None = None
     extra: dict[str, Any] = field(default_factory=dict)
 
 
 class Engine(Protocol):
-    """The interface of every engine; `render` writes files, `run` starts the solver, `read` parses."""
+    """The interface of every engine; `render` writes files, `run` starts the solver, `read` parses.
+
+    ``ranks`` is the number of processes that share one run.
+    """
 
     name: str
+    ranks: int
 
     def profile(self) -> Profile:
         """Look for the solver on this machine."""

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from kncal import __version__
 from kncal.engines.base import FRAMES, Profile, Progress, RunResult, read_frames, run_result
-from kncal.errors import KncalError, RenderError
+from kncal.errors import KncalError, RenderError, failure_of
 from kncal.integrator import check, integrate
 from kncal.io.liggghts_dump import write_trajectory
 from kncal.model import Model
@@ -27,6 +27,7 @@ class Builtin:
     """kncal's own integrator: velocity Verlet as in LIGGGHTS, spheres and plane walls, no rolling friction."""
 
     name = "builtin"
+    ranks = 1
 
     def profile(self) -> Profile:
         """Always there: the program is the Python that runs kncal."""
@@ -67,7 +68,7 @@ class Builtin:
     ) -> RunResult:
         """Integrate the model and write its frames; never raises for a failed run, the status says so."""
         del pass_fds  # there is no other process
-        started, cpu_started = time.monotonic(), time.process_time()
+        started, cpu_started = time.monotonic(), time.thread_time()
 
         def on_steps(done: int, total: int) -> None:
             if progress is not None:
@@ -75,7 +76,7 @@ class Builtin:
             if timeout is not None and time.monotonic() - started > timeout:
                 raise _TimeoutError(f"stopped at step {done} of {total}: not done within {timeout:g} s")
 
-        status, message = "completed", ""
+        status, message, failure = "completed", "", ""
         try:
             (folder / FRAMES).unlink(missing_ok=True)
             trajectory = integrate(model, on_steps)
@@ -85,18 +86,19 @@ class Builtin:
         except KeyboardInterrupt:
             status, message = "interrupted", "interrupted by the user"
         except (KncalError, OSError) as error:
-            status, message = "failed", str(error)
+            status, message, failure = "failed", str(error), failure_of(error)
         except MemoryError:
-            status, message = "failed", "out of memory: record fewer frames, or make the run shorter"
+            status, message, failure = "failed", "out of memory: record fewer frames, or make the run shorter", "killed"
         return run_result(
             self.name,
             model,
             folder,
             status,
-            cpu_seconds=time.process_time() - cpu_started,
+            cpu_seconds=time.thread_time() - cpu_started,
             wall_seconds=time.monotonic() - started,
             version=__version__,
             message=message,
+            failure=failure,
         )
 
     def read(self, model: Model, folder: Path) -> Trajectory:

@@ -9,11 +9,15 @@ from typing import Any
 
 from kncal import __version__
 from kncal.bed.model import BedModel
+from kncal.bed.scene import BedScene
 from kncal.checks import Array, one_of
 from kncal.coupling.base import GasTransport
+from kncal.coupling.decomposed import divisions as check_divisions
 from kncal.coupling.loop import CoupledCost, CoupledRun, Progress, gas_setup, last_checkpoint
 from kncal.engines.base import Profile, RunResult
-from kncal.errors import KncalError, SolverMissingError
+from kncal.errors import InputError, KncalError, SolverMissingError, failure_of
+from kncal.mpi import MISSING as NO_MPIRUN
+from kncal.mpi import MPIRUN, check_ranks
 
 TRANSPORTS = ("auto", "live", "restart")
 GAS, PARTICLES = "gas", "particles"
@@ -42,18 +46,51 @@ def choose_transport(wanted: str) -> tuple[str, Path | None]:
     return ("live", library) if library is not None else ("restart", None)
 
 
+def check_bed_ranks(scene: BedScene, ranks: int) -> None:
+    """Refuse several ranks for a bed whose particles move, or whose gas cannot be cut into so many parts.
+
+    Raises
+    ------
+    InputError
+        With the reason.
+    """
+    if ranks == 1:
+        return
+    if scene.gas is None:
+        raise InputError(f"ranks = {ranks}: only the gas of a bed is shared among ranks, and {scene.name} has none")
+    if scene.particles.count and not scene.particles.frozen:
+        raise InputError(
+            f"ranks = {ranks}: the particles of {scene.name} move, and such a bed runs on one rank: gas and particles "
+            "exchange everything through one process after every interval. Expected 1; several cases side by side "
+            "(kncal sweep) use all cores"
+        )
+    check_divisions(scene.column.cells, ranks)
+
+
 class Coupled:
     """One bed by Debian's LIGGGHTS and OpenFOAM.
 
     Parameters
     ----------
     transport : "auto", "live" or "restart"
+    ranks : int
+        Processes that share the gas; only for beds whose particles do not move (see `check_bed_ranks`).
+    oversubscribe : bool
+        Allow more ranks than cores.
+
+    Raises
+    ------
+    InputError
+        For several ranks with the transport live, or a number of them that `kncal.mpi.check_ranks` refuses.
     """
 
     name = "coupled"
 
-    def __init__(self, transport: str = "auto") -> None:
-        self.transport, self._library = choose_transport(transport)
+    def __init__(self, transport: str = "auto", *, ranks: int = 1, oversubscribe: bool = False) -> None:
+        self.ranks, self._oversubscribe = check_ranks(ranks, oversubscribe=oversubscribe), oversubscribe
+        if ranks > 1 and transport == "live":
+            raise InputError(f"transport = 'live' with ranks = {ranks}: live has one gas solver; expected 'restart'")
+        self.transport, self._library = choose_transport("restart" if ranks > 1 else transport)
 
     def profile(self) -> Profile:
         """Look for both solvers on this machine."""
@@ -61,6 +98,7 @@ class Coupled:
 
         liggghts, openfoam = solver_findings()
         missing = [f"{f.name} ({f.hint})" for f in (liggghts, openfoam) if not f.ok]
+        missing += [NO_MPIRUN] if self.ranks > 1 and shutil.which(MPIRUN) is None else []
         program = shutil.which("DPMFoam")
         return Profile(
             engine=self.name,
@@ -84,7 +122,7 @@ class Coupled:
         With ``resume`` the run goes on from its last complete checkpoint (from the start if there is none).
         """
         started = time.monotonic()
-        status, message = "completed", ""
+        status, message, failure = "completed", "", ""
         extra: dict[str, Any] = {"transport": self.transport if model.scene.gas else "none"}
         cpu = 0.0
         try:
@@ -103,7 +141,7 @@ class Coupled:
         except TimeoutError as error:
             status, message = "timed_out", str(error)
         except (KncalError, OSError) as error:
-            status, message = "failed", str(error)
+            status, message, failure = "failed", str(error), failure_of(error)
         return RunResult(
             status=status,
             engine=self.name,
@@ -115,6 +153,7 @@ class Coupled:
             wall_seconds=time.monotonic() - started,
             version=__version__,
             message=message,
+            failure=failure,
             extra=extra,
         )
 
@@ -160,7 +199,7 @@ class Coupled:
             return LiveGas(setup, folder / GAS, self._library, model.scene.particles.count)
         from kncal.coupling.restart import RestartGas
 
-        return RestartGas(setup, folder / GAS)
+        return RestartGas(setup, folder / GAS, ranks=self.ranks, oversubscribe=self._oversubscribe)
 
 
 def _set_aside(folder: Path) -> None:

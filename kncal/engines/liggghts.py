@@ -13,9 +13,11 @@ from kncal.checks import one_of
 from kncal.diagnose import diagnose_liggghts
 from kncal.engines.base import FRAMES, Profile, Progress, RunResult, read_frames, run_result
 from kncal.engines.liggghts_deck import deck_context
-from kncal.errors import RunError
+from kncal.errors import RunError, failure_of
 from kncal.io.liggghts_log import END_MARKER, step_of_line
 from kncal.model import Model
+from kncal.mpi import MISSING as NO_MPIRUN
+from kncal.mpi import MPIRUN, check_ranks, mpi_command, mpi_environment, run_ranks
 from kncal.resources import folder as shipped_folder
 from kncal.runner import run_process, solver_environment
 from kncal.templating import render
@@ -26,6 +28,8 @@ DECK, SCRIPT, LOG = "in.liggghts", "Allrun", "log.liggghts"
 #: The version whose force laws, log and dumps kncal knows.
 VERSION = "3.8.0"
 LINEAR_STYLES = ("hooke/stiffness", "hooke")
+#: Line-buffered: the text of some errors would be lost otherwise. The runner writes the log.
+_COMMAND = ("stdbuf", "-oL", PROGRAM, "-in", DECK, "-log", "none")
 _MISSING = "LIGGGHTS is not installed ({what}): apt-get install liggghts, or use the builtin engine"
 _VERSION = re.compile(r"Version LIGGGHTS-PUBLIC ([0-9][0-9A-Za-z.]*)")
 _BANNER_TIME, _BANNER_SIZE = 10.0, 1 << 16  # [s], [bytes]
@@ -39,15 +43,21 @@ class Liggghts:
     linear_style : str
         How a linear model is written: "hooke/stiffness" takes any k_n and eta_n; "hooke" lets LIGGGHTS find
         k_n by strain energy at the impact speed (only for cases with that method).
+    ranks : int
+        Processes that share one run, each a part of the box; the frames are the same.
+    oversubscribe : bool
+        Allow more ranks than cores.
 
     Raises
     ------
     InputError
-        For another style.
+        For another style, or a number of ranks that `kncal.mpi.check_ranks` refuses.
     """
 
-    def __init__(self, linear_style: str = "hooke/stiffness") -> None:
+    def __init__(self, linear_style: str = "hooke/stiffness", *, ranks: int = 1, oversubscribe: bool = False) -> None:
         self.linear_style = one_of("linear_style", linear_style, LINEAR_STYLES)
+        self.ranks = check_ranks(ranks, oversubscribe=oversubscribe)
+        self._oversubscribe = oversubscribe
         #: as `kncal.workflow.get_engine` takes it
         self.name = "liggghts" if linear_style == "hooke/stiffness" else "liggghts-hooke"
 
@@ -58,6 +68,8 @@ class Liggghts:
             what = "no program " + repr(PROGRAM if program is None else "stdbuf") + " on PATH"
             return Profile(engine=self.name, program=None, version="", problem=_MISSING.format(what=what))
         version, problem = _version(program)
+        if self.ranks > 1 and _find(MPIRUN) is None:
+            version, problem = "", NO_MPIRUN
         warning = f"{program} is LIGGGHTS {version}; kncal knows {VERSION}: look at the results twice"
         return Profile(
             engine=self.name,
@@ -65,14 +77,13 @@ class Liggghts:
             version=version,
             problem=problem,
             warning=warning if version and version != VERSION else "",
-            environment=solver_environment(),
+            environment=mpi_environment(solver_environment(), self.ranks),
         )
 
     def command(self, model: Model) -> tuple[str, ...]:
         """Return the command that `run` starts in the run's folder; it is the same for every model."""
         del model
-        # Line-buffered: the text of some errors would be lost otherwise. The runner writes the log.
-        return ("stdbuf", "-oL", PROGRAM, "-in", DECK, "-log", "none")
+        return mpi_command(_COMMAND, self.ranks, oversubscribe=self._oversubscribe)
 
     def render(self, model: Model, folder: Path) -> None:
         """Write ``in.liggghts`` and ``Allrun`` into ``folder``.
@@ -84,6 +95,7 @@ class Liggghts:
         """
         templates = shipped_folder("templates") / "liggghts"
         context = deck_context(model, self.linear_style) | {"end_marker": END_MARKER}
+        context |= {"ranks": self.ranks, "oversubscribe": self._oversubscribe}
         texts = {name: render(templates, f"{name}.j2", context) for name in (DECK, SCRIPT)}
         for name, text in texts.items():
             (folder / name).write_text(text, encoding="ascii")
@@ -111,8 +123,10 @@ class Liggghts:
 
         try:
             (folder / FRAMES).unlink(missing_ok=True)
-            process = run_process(
-                self.command(model),
+            process = run_ranks(
+                _COMMAND,
+                self.ranks,
+                oversubscribe=self._oversubscribe,
                 cwd=folder,
                 log=log,
                 env=profile.environment,
@@ -121,7 +135,15 @@ class Liggghts:
                 pass_fds=pass_fds,
             )
         except (RunError, OSError) as error:
-            return run_result(self.name, model, folder, "failed", message=str(error), version=profile.version)
+            return run_result(
+                self.name,
+                model,
+                folder,
+                "failed",
+                message=str(error),
+                failure=failure_of(error),
+                version=profile.version,
+            )
         problem = diagnose_liggghts(process, log, folder / FRAMES, model.n_steps, len(model.scene.particles))
         status = process.status
         if status == "exited":
@@ -136,6 +158,7 @@ class Liggghts:
             version=profile.version,
             returncode=process.returncode,
             message="" if problem is None else problem.message,
+            failure=problem.code if problem is not None and status == "failed" else "",
             log=log,
         )
 

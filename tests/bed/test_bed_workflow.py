@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -17,7 +18,7 @@ import pytest
 from kncal.bed.planning import plan_bed
 from kncal.bed.scene import BedScene
 from kncal.bed.series import BedSeries, read_series
-from kncal.bed.workflow import load_bed_run, plan_checked, resume_bed, run_bed
+from kncal.bed.workflow import load_bed_run, plan_checked, run_bed
 from kncal.case_file import dump_case, load_case
 from kncal.coupling.adapter_build import find
 from kncal.engines.coupled import Coupled
@@ -82,7 +83,10 @@ def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(whole, tmp_path, m
     stopped = len(read_series(out / "linear" / "series").t)
     assert 0 < stopped < plan_bed(scene)["linear"].couplings
     monkeypatch.setattr("kncal.coupling.loop.CHECKPOINT_SECONDS", 1e9)
-    assert resume_bed(scene, out, transport="restart")["linear"].status == "completed"
+    said: list[str] = []
+    results = run_bed(scene, out, ("linear",), transport="restart", tell=said.append)
+    assert results["linear"].status == "completed"
+    assert f"goes on: it ended as timed out; from coupling {stopped} of" in said[0]
     one, two = (numbers(read_series(folder / "linear" / "series")) for folder in (out, whole))
     # Saving sums forces in another order, a relative 1e-16 per step, which contacts amplify.
     scale = np.abs(two).max(axis=1, keepdims=True)
@@ -90,9 +94,17 @@ def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(whole, tmp_path, m
     assert np.allclose(one, two, rtol=1e-6, atol=1e-9 * scale)
 
 
-def test_another_case_is_not_gone_on_with(whole):
-    with pytest.raises(CaseFileError, match="this very case"):
-        resume_bed(mini(0.02), whole)
+def test_a_completed_bed_is_not_run_again_and_another_case_is_not_mixed_with_it(whole, tmp_path):
+    out = tmp_path / "copy"
+    shutil.copytree(whole, out)
+    said: list[str] = []
+    first = run_bed(mini(0.01), out, transport="restart", tell=said.append)
+    assert [text.split(":")[0] for text in said] == ["linear not run again", "hertz not run again"]
+    assert [r.status for r in first.values()] == ["completed", "completed"]
+    assert not (out / "attempt-1").exists()
+    run_bed(mini(0.0015), out, ("linear",), transport="restart")
+    assert len(read_series(out / "attempt-1" / "linear" / "series").t) > len(read_series(out / "linear" / "series").t)
+    assert not (out / "hertz").exists()
 
 
 def test_impossible_beds_are_refused_before_anything_is_written(tmp_path):

@@ -15,11 +15,12 @@ import pytest
 
 from kncal.bed.scene import BedScene
 from kncal.bed.series import read_series
-from kncal.bed.workflow import resume_bed, run_bed
+from kncal.bed.workflow import run_bed
 from kncal.case_file import dump_case, load_case
 from kncal.coupling.adapter_build import find
 from kncal.coupling.loop import last_checkpoint
 from kncal.errors import ReadError
+from kncal.states import run_state
 
 pytestmark = pytest.mark.solver
 
@@ -69,10 +70,14 @@ def test_a_run_killed_at_a_random_coupling_resumes(undisturbed, tmp_path: Path, 
     while left := _using(out):
         assert time.monotonic() < deadline, left
         time.sleep(0.05)
-    assert not (out / "linear" / "result.json").exists()
+    state = run_state(out / "linear")
+    assert (state.status, state.failure) == ("failed", "killed")
 
     scene = replace(bed(), name=load_case(str(case)).name)
-    assert resume_bed(scene, out, transport=transport)["linear"].status == "completed"
+    said: list[str] = []
+    results = run_bed(scene, out, ("linear",), transport=transport, tell=said.append)
+    assert results["linear"].status == "completed"
+    assert "goes on: it never came to its end" in said[0]
     series = read_series(out / "linear" / "series")
     np.testing.assert_array_equal(series.coupling, undisturbed.coupling)
     for name in NUMBERS:

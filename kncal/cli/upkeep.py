@@ -1,0 +1,153 @@
+"""``kncal status`` and ``kncal clean``: what became of runs, and what may go."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from kncal.cli import show
+from kncal.errors import InputError
+
+if TYPE_CHECKING:
+    from kncal.states import RunState
+
+#: Runs that fit on one screen.
+_ROWS = 30
+
+
+def status(
+    folder: Path = Path("runs"),
+    *,
+    json: Annotated[bool, Parameter(name="--json", negative="", help="print data for machines")] = False,
+) -> None:
+    """Tell what runs, what is done, what failed and why, and what to do about it.
+
+    Parameters
+    ----------
+    folder
+        A run folder, or one that holds run folders.
+    """
+    from dataclasses import asdict
+
+    from kncal.states import case_states, find_run_folders
+    from kncal.sweep.design import DESIGN
+
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder; expected one that holds runs")
+    if (folder / DESIGN).is_file():
+        _sweep(folder, json=json)
+        return
+    states = [state for out in find_run_folders(folder) for state in case_states(out)]
+    if json:
+        show.as_json([asdict(state) | {"folder": str(state.folder)} for state in states])
+        return
+    if not states:
+        show.say(f"{folder}: no runs in it")
+        return
+    _print(folder, states)
+
+
+def clean(
+    folder: Path = Path("runs"),
+    *,
+    yes: Annotated[bool, Parameter(name="--yes", negative="", help="do not ask")] = False,
+) -> None:
+    """Remove earlier attempts, and working files of completed runs; asks first, never touches a running case.
+
+    Parameters
+    ----------
+    folder
+        A run folder, or one that holds run folders.
+    """
+    from kncal.cleaning import clean as remove
+    from kncal.cleaning import plan_cleaning
+
+    removals, left = plan_cleaning(folder)
+    for text in left:
+        show.say(text)
+    if not removals:
+        show.say(f"{folder}: nothing to remove")
+        return
+    for removal in removals:
+        show.say(f"{_megabytes(removal.size):>9}  {removal.path} ({removal.why})")
+    total = _megabytes(sum(removal.size for removal in removals))
+    if not yes and not _agreed(f"Remove these {len(removals)} folders, {total}?"):
+        show.say("nothing was removed")
+        return
+    freed, held = remove(removals)
+    for text in held:
+        show.say(text)
+    show.say(f"removed {_megabytes(freed)}")
+
+
+def _sweep(folder: Path, *, json: bool) -> None:
+    from dataclasses import asdict
+
+    from kncal.states import ADVICE
+    from kncal.sweep.states import sweep_status
+
+    found = sweep_status(folder)
+    if json:
+        show.as_json(_plain(asdict(found)))
+        return
+    counts = ", ".join(f"{number} {name.replace('_', ' ')}" for name, number in found.counts.items())
+    show.say(f"{folder}: sweep of {found.name}, {found.total} runs: {counts}")
+    show.say(f"run by {found.owner}" if found.owner else "nobody runs it; the same command again does what is missing")
+    if found.failures:
+        rows = [
+            [name, str(number), ADVICE.get(name) or ADVICE.get(name.replace("-", "_"), "")]
+            for name, number in found.failures.items()
+        ]
+        show.table("", ["failure", "runs", "what to do"], rows, text=(0, 2), fold=True)
+    for run in found.running[:_ROWS]:
+        show.say(f"running: {run.id} by pid {run.pid} on {run.host}")
+    for failure in found.newest:
+        show.say(f"{failure.folder}: {failure.message or failure.failure}")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _plain(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return str(value) if isinstance(value, Path) else value
+
+
+def _agreed(question: str) -> bool:
+    if not sys.stdin.isatty():
+        raise InputError("there is no terminal to ask at: expected --yes")
+    return input(f"{question} [y/N] ").strip().lower() in ("y", "yes")
+
+
+def _megabytes(size: int) -> str:
+    return f"{size / 1e6:.1f} MB"
+
+
+def _print(folder: Path, states: list[RunState]) -> None:
+    from collections import Counter
+
+    from kncal.states import ADVICE
+
+    counts = Counter(state.status for state in states)
+    show.say(f"{folder}: " + ", ".join(f"{number} {name.replace('_', ' ')}" for name, number in counts.items()))
+    order = {"running": 0, "failed": 1, "not_installed": 1, "timed_out": 2, "interrupted": 2, "rendered": 3}
+    shown = sorted(states, key=lambda state: order.get(state.status, 4))[:_ROWS]
+    rows = [
+        [
+            str(state.folder.relative_to(folder)) if state.folder != folder else state.folder.name,
+            state.status.replace("_", " ") + (f" ({state.failure})" if state.failure else ""),
+            show.quantity(state.cpu_seconds, "s", 3) if state.cpu_seconds else "",
+            state.owner if state.status == "running" else "",
+        ]
+        for state in shown
+    ]
+    show.table("", ["run", "state", "CPU", "by"], rows, text=(0, 1, 3))
+    if len(states) > _ROWS:
+        show.say(f"... and {len(states) - _ROWS} more; --json has all")
+    for state in shown:
+        if state.message and state.status != "completed":
+            show.say(f"{state.folder}: {state.message}")
+            show.say(f"  what to do: {ADVICE[state.failure or state.status]}")

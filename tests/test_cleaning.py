@@ -1,0 +1,115 @@
+"""`kncal clean` frees what nobody needs, and nothing else; `kncal status` says what is true."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from kncal.case_file import load_scene
+from kncal.cleaning import clean, plan_cleaning
+from kncal.engines.base import FAILURES
+from kncal.engines.builtin import Builtin
+from kncal.errors import ReadError
+from kncal.folder import RESULT
+from kncal.lock import locked, sign
+from kncal.states import ADVICE, STATES, case_states, run_state
+from kncal.workflow import run_case
+
+SCENE = load_scene("wall_impact")
+
+
+@pytest.fixture
+def twice(tmp_path: Path) -> Path:
+    out = tmp_path / "runs" / "impact"
+    for _ in range(2):
+        run_case(SCENE, Builtin(), out, anew=True)
+    return out
+
+
+def kncal(*arguments: object, **options) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "kncal", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL, **options)
+
+
+def test_attempts_go_and_results_stay(twice: Path) -> None:
+    removals, left = plan_cleaning(twice.parent)
+    assert [r.path for r in removals] == [twice / "attempt-1"]
+    assert left == ()
+    size = sum(p.lstat().st_size for p in (twice / "attempt-1").rglob("*") if p.name != ".lock")
+    assert clean(removals) == (size, ())
+    assert not (twice / "attempt-1").exists()
+    assert [s.status for s in case_states(twice)] == ["completed", "completed"]
+    assert plan_cleaning(twice.parent) == ((), ())
+
+
+def test_a_folder_in_use_is_left_alone(twice: Path) -> None:
+    removals, _ = plan_cleaning(twice)
+    with locked(twice) as descriptor:
+        sign(descriptor)
+        planned, left = plan_cleaning(twice)
+        assert planned == ()
+        assert f"in use by pid {os.getpid()}" in left[0]
+        freed, held = clean(removals)  # planned before the run began
+        assert freed == 0
+        assert len(held) == 1
+    assert (twice / "attempt-1").is_dir()
+
+
+def test_links_are_not_followed(twice: Path, tmp_path: Path) -> None:
+    precious = tmp_path / "precious"
+    precious.mkdir()
+    (precious / "thesis.txt").write_text("x")
+    (twice / "attempt-2").symlink_to(precious)
+    (twice / "attempt-1" / "more").symlink_to(precious)
+    clean(plan_cleaning(twice)[0])
+    assert (precious / "thesis.txt").read_text() == "x"
+
+
+def test_folders_that_are_not_kncals_are_not_touched(tmp_path: Path) -> None:
+    (tmp_path / "attempt-1").mkdir()
+    (tmp_path / "x" / "checkpoint-3").mkdir(parents=True)
+    assert plan_cleaning(tmp_path) == ((), ())
+    with pytest.raises(ReadError, match="not a folder"):
+        plan_cleaning(tmp_path / "no")
+
+
+def test_the_command_asks(twice: Path) -> None:
+    asked = kncal("clean", twice)
+    assert asked.returncode == 2
+    assert "--yes" in asked.stderr
+    assert (twice / "attempt-1").is_dir()
+    done = kncal("clean", twice, "--yes")
+    assert done.returncode == 0, done.stderr
+    assert not (twice / "attempt-1").exists()
+
+
+def test_status_names_the_failure_and_the_remedy(twice: Path) -> None:
+    data = json.loads((twice / "hertz" / RESULT).read_text())
+    data |= {"status": "failed", "failure": "lost-particles", "message": "particles left the domain"}
+    (twice / "hertz" / RESULT).write_text(json.dumps(data))
+    text = kncal("status", twice.parent).stdout
+    assert "1 completed, 1 failed" in text
+    assert "failed (lost-particles)" in text
+    assert "particles left the domain" in text
+    assert ADVICE["lost-particles"] in text
+    states = json.loads(kncal("status", twice.parent, "--json").stdout)
+    assert [(s["model"], s["status"]) for s in states] == [("linear", "completed"), ("hertz", "failed")]
+
+
+def test_a_running_run_is_seen_with_its_owner(twice: Path) -> None:
+    (twice / "hertz" / RESULT).unlink()
+    with locked(twice) as descriptor:
+        sign(descriptor)
+        state = run_state(twice / "hertz")
+    assert state.status == "running"
+    assert f"pid {os.getpid()}" in state.owner
+
+
+def test_there_is_advice_for_every_end_that_is_no_success() -> None:
+    bad = {*FAILURES, *STATES} - {"rendered", "running", "completed", "failed"}
+    assert set(ADVICE) == bad
