@@ -19,6 +19,7 @@ from pathlib import Path
 from kncal.checks import positive
 from kncal.errors import InputError, RunError
 from kncal.io.text import MAX_LINE, decode_line
+from kncal.stopping import check_stop
 
 #: The states a process can end in.
 PROCESS_STATUSES = ("exited", "timed_out", "interrupted", "not_installed")
@@ -87,11 +88,13 @@ def run_process(
     timeout: float | None = None,
     on_line: Callable[[str], None] | None = None,
     pass_fds: Sequence[int] = (),
+    grace: float = _GRACE,
 ) -> ProcessResult:
     """Run one program to its end, in its own process group, with no shell and no input.
 
     The child dies with the thread that called this, also if that is killed (where ``setpriv`` exists).
-    Ctrl-C ends the child and returns; a second one kills it at once. Any other exception ends it and is passed on.
+    Ctrl-C ends the child and returns, as does `kncal.stopping`; a second one kills it at once. Any other exception
+    ends it and is passed on.
 
     Parameters
     ----------
@@ -104,11 +107,13 @@ def run_process(
     env : mapping, optional
         The whole environment; None: `solver_environment`.
     timeout : float, optional
-        Wall-clock limit [s]; after it the child gets SIGTERM twice, then SIGKILL, 2 s apart.
+        Wall-clock limit [s]; after it the child gets SIGTERM twice, then SIGKILL, ``grace`` apart.
     on_line : callable, optional
         Called in this thread with each line of output, soon after it is written (see `decode_line`).
     pass_fds : sequence of int
         Open descriptors that the child inherits, e.g. the lock of its folder.
+    grace : float
+        Time that the child may take to end after each signal [s].
 
     Returns
     -------
@@ -139,7 +144,7 @@ def run_process(
             if child is None:
                 return _result("not_installed", None, None, 0.0, begin, output, command)
             deadline = None if timeout is None else begin + timeout
-            status, code, cpu = _watch(child, output, deadline)
+            status, code, cpu = _watch(child, output, deadline, grace)
             output.finish()
     finally:
         os.close(descriptor)
@@ -230,17 +235,19 @@ def _start(
         raise RunError(f"{found}: cannot be started ({error})") from error
 
 
-def _watch(child: subprocess.Popen[bytes], output: _Output, deadline: float | None) -> tuple[str, int, float]:
+def _watch(
+    child: subprocess.Popen[bytes], output: _Output, deadline: float | None, grace: float
+) -> tuple[str, int, float]:
     """Wait for the end, ending the child if need be: status, code as of `Popen.returncode`, CPU seconds."""
     status = "exited"
     try:
         if not _wait(child.pid, deadline, output):
-            status = "interrupted" if _end(child.pid) else "timed_out"
+            status = "interrupted" if _end(child.pid, grace) else "timed_out"
     except KeyboardInterrupt:
         status = "interrupted"
-        _end(child.pid)
+        _end(child.pid, grace)
     except BaseException:
-        _end(child.pid)
+        _end(child.pid, grace)
         _reap(child)
         raise
     code, cpu = _reap(child)
@@ -252,7 +259,10 @@ def _wait(pid: int, deadline: float | None, output: _Output | None) -> bool:
     pause = 0.002
     while True:
         ended = os.waitid(os.P_PID, pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
-        more = output.poll() if output is not None else False
+        more = False
+        if output is not None:
+            more = output.poll()
+            check_stop()
         if ended:
             return True
         if deadline is not None and time.monotonic() >= deadline:
@@ -263,7 +273,7 @@ def _wait(pid: int, deadline: float | None, output: _Output | None) -> bool:
             pause = min(1.5 * pause, 0.05)
 
 
-def _end(pid: int) -> bool:
+def _end(pid: int, grace: float) -> bool:
     """End the group; return whether Ctrl-C cut the waiting short.
 
     TERM lets LIGGGHTS finish its step and close its files, the second TERM ends it at once.
@@ -272,7 +282,7 @@ def _end(pid: int) -> bool:
     try:
         for _ in range(2):
             _signal_group(pid, signal.SIGTERM)
-            if _wait(pid, time.monotonic() + _GRACE, None):
+            if _wait(pid, time.monotonic() + grace, None):
                 break
     except KeyboardInterrupt:
         hurried = True

@@ -7,15 +7,17 @@ patch ``floor``). ``outlet`` is the top. Cells are counted as `kncal.coupling.gr
 from __future__ import annotations
 
 import shutil
+import signal
 from collections.abc import Callable
 from pathlib import Path
 
 from kncal.bed.scene import DEPTHS, DRAGS, PARCELS
 from kncal.checks import Array, in_range, one_of, positive
 from kncal.coupling.base import GasSetup
+from kncal.coupling.decomposed import CWD, divisions
 from kncal.coupling.grid import Grid
 from kncal.errors import InputError, ReadError, RenderError, RunError, SolverMissingError
-from kncal.io.openfoam import fatal_error, read_cells, set_patch_vector
+from kncal.io.openfoam import fatal_error, read_cells, refuse_code, set_patch_vector
 from kncal.resources import folder as shipped_folder
 from kncal.runner import ProcessResult, run_process, solver_environment
 from kncal.templating import render
@@ -43,13 +45,21 @@ _FILES = (
     "0/alpha.air_0",
     "Allrun",
 )
+_DECOMPOSITION = "system/decomposeParDict"
 _MESH_LIMIT = 600.0  # s
 
 Corner = Callable[[int, int, int], int]
 
 
 def write_case(
-    setup: GasSetup, folder: Path, *, end_time: float, write_interval: int = 1, functions: str | None = None
+    setup: GasSetup,
+    folder: Path,
+    *,
+    end_time: float,
+    write_interval: int = 1,
+    functions: str | None = None,
+    ranks: int = 1,
+    oversubscribe: bool = False,
 ) -> None:
     """Write the case of ``setup`` into ``folder`` (made if missing); it has no mesh yet: see `make_mesh`.
 
@@ -63,6 +73,10 @@ def write_case(
         Steps between written time folders.
     functions : str, optional
         Text of further entries of ``system/controlDict`` (``libs``, ``functions``), made by kncal, pasted as it is.
+    ranks : int
+        With more than one, ``system/decomposeParDict`` is written, and ``Allrun`` cuts the case up for that many.
+    oversubscribe : bool
+        Whether ``Allrun`` allows more ranks than cores.
 
     Raises
     ------
@@ -76,8 +90,9 @@ def write_case(
         raise RenderError(f"{folder}: expected an empty folder for the gas case (or none yet), it holds something else")
     templates = shipped_folder("templates") / "openfoam"
     context = case_context(setup) | {"end_time": end_time, "write_interval": write_interval, "functions": functions}
+    context |= {"ranks": ranks, "divisions": list(divisions(setup.cells, ranks)), "oversubscribe": oversubscribe}
     texts = {}
-    for name in _FILES:
+    for name in (*_FILES, _DECOMPOSITION) if ranks > 1 else _FILES:
         template = "0/alpha.air" if name == "0/alpha.air_0" else name
         texts[name] = render(templates, f"{template}.j2", context | {"field": name.rpartition("/")[2]})
     for name, text in texts.items():
@@ -100,14 +115,22 @@ def make_mesh(folder: Path) -> float:
     """
     log = folder / f"log.{MESHER}"
     result = run_process([MESHER], cwd=folder, log=log, env=case_environment(folder), timeout=_MESH_LIMIT)
+    if result.status == "interrupted":
+        raise KeyboardInterrupt
     if result.status != "exited" or result.returncode != 0:
         raise process_error(MESHER, result, log)
     return result.cpu_seconds
 
 
 def case_environment(folder: Path) -> dict[str, str]:
-    """Return the environment of a solver that runs in ``folder``; without its PWD OpenFOAM warns at each start."""
-    return {**solver_environment(), "PWD": str(folder.absolute())}
+    """Return the environment of a solver that runs in ``folder``; without its PWD OpenFOAM warns at each start.
+
+    OpenFOAM takes its own name for the folder from PWD and refuses one with spaces or quotes; such a folder gets the
+    name that Linux has for the working folder of any process.
+    """
+    here = str(folder.absolute())
+    awkward = any(sign.isspace() or sign in "\"'" for sign in here)
+    return {**solver_environment(), "PWD": CWD if awkward else here}
 
 
 def set_case_inlet(setup: GasSetup, folder: Path, velocity: float) -> None:
@@ -129,6 +152,8 @@ def install_state(state: Path, folder: Path, cells: int) -> Array:
     U = read_cells(state / "U.air", cells)
     read_cells(state / "p", cells)
     for name in STATE:
+        refuse_code(state / name)  # a run folder may come from a stranger, and the solver obeys what is in it
+    for name in STATE:
         shutil.copyfile(state / name, folder / "0" / name)
     return U
 
@@ -143,9 +168,11 @@ def process_error(program: str, result: ProcessResult, log: Path) -> RunError:
         return RunError(f"{program} was interrupted; see {log}")
     words = fatal_error(log) or " / ".join(line for line in result.last_lines[-3:] if line)
     how = f"signal {result.signal}" if result.signal is not None else f"exit code {result.returncode}"
-    if result.signal == 8 or "sigFpe" in words:
+    failure = "solver-error" if result.signal is None else "peer-died"
+    if result.signal == signal.SIGFPE or "sigFpe" in words:
         how += " (floating-point exception: the gas flow diverged; try a shorter gas step)"
-    return RunError(f"{program} failed, {how}: {words or 'no message'}; see {log}")
+        failure = "not-finite"
+    return RunError(f"{program} failed, {how}: {words or 'no message'}; see {log}", failure)
 
 
 def check_setup(setup: GasSetup) -> None:

@@ -7,12 +7,14 @@ loading of the solver's libraries; a folder in memory (tmpfs) is best.
 from __future__ import annotations
 
 import shutil
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from kncal.checks import Array, in_range, positive
 from kncal.coupling.base import GasFields, GasSetup, GasStep
+from kncal.coupling.decomposed import decompose, reconstruct, run_in_folder
 from kncal.coupling.forces import Exchange, Parcels
 from kncal.coupling.gas_case import (
     INLET,
@@ -35,7 +37,7 @@ from kncal.io.openfoam import (
     write_parcel_constants,
     write_parcel_motion,
 )
-from kncal.runner import run_process
+from kncal.mpi import check_ranks
 
 
 class RestartGas:
@@ -48,6 +50,10 @@ class RestartGas:
         Gets the case; empty or missing.
     time_limit : float
         Wall-clock limit of one gas step [s].
+    ranks : int
+        Processes that share each gas step (see `kncal.coupling.decomposed`).
+    oversubscribe : bool
+        Allow more ranks than cores.
 
     Raises
     ------
@@ -59,11 +65,20 @@ class RestartGas:
 
     name = "restart"
 
-    def __init__(self, setup: GasSetup, folder: Path, *, time_limit: float = 300.0) -> None:
+    def __init__(
+        self,
+        setup: GasSetup,
+        folder: Path,
+        *,
+        time_limit: float = 300.0,
+        ranks: int = 1,
+        oversubscribe: bool = False,
+    ) -> None:
         self.setup = setup
+        self._ranks, self._oversubscribe = check_ranks(ranks, oversubscribe=oversubscribe), oversubscribe
         self._folder = folder.absolute()
         self._time_limit = float(positive("time_limit", time_limit, unit="s"))
-        write_case(setup, self._folder, end_time=setup.step, write_interval=1)
+        write_case(setup, self._folder, end_time=setup.step, write_interval=1, ranks=ranks, oversubscribe=oversubscribe)
         self._cpu = make_mesh(self._folder)
         self._exchange = Exchange(setup)
         self._inlet = inlet_velocity(setup)
@@ -159,20 +174,22 @@ class RestartGas:
         write_parcel_motion(self._start, parcels.x, parcels.cell, parcels.v)
 
     def _run(self, end: Path) -> None:
-        log = self._folder / f"log.{SOLVER}"
-        # The log holds the last start only, so it cannot grow without end.
-        result = run_process(
-            [SOLVER, "-noFunctionObjects"],
-            cwd=self._folder,
-            log=log,
-            env=case_environment(self._folder),
-            timeout=self._time_limit,
+        run = partial(
+            run_in_folder,
+            folder=self._folder,
+            environment=case_environment(self._folder),
+            time_limit=self._time_limit,
+            oversubscribe=self._oversubscribe,
+            error=process_error,
         )
-        self._cpu += result.cpu_seconds
-        if result.status != "exited" or result.returncode != 0:
-            raise process_error(SOLVER, result, log)
-        if "End" not in result.last_lines or not end.is_dir():
-            raise RunError(f"{SOLVER} ended without its end marker or without the time folder {end.name}; see {log}")
+        if self._ranks == 1:
+            self._cpu += run([SOLVER, "-noFunctionObjects"], 1).cpu_seconds
+        else:
+            self._cpu += decompose(self._folder, run)
+            self._cpu += run([SOLVER, "-parallel", "-noFunctionObjects"], self._ranks).cpu_seconds
+            self._cpu += reconstruct(self._folder, end, run)
+        if not end.is_dir():
+            raise RunError(f"{SOLVER} ended without the time folder {end.name}; see {self._folder / f'log.{SOLVER}'}")
 
     def _read(self, parcels: Parcels, end: Path) -> GasStep:
         count = self._exchange.grid.count
@@ -195,7 +212,8 @@ class RestartGas:
         if len(row) != sent or not np.array_equal(np.sort(row), np.arange(sent)):
             raise RunError(
                 f"{SOLVER} returned {len(row)} of {sent} parcels: the others left the mesh during the gas step; "
-                "shorten the step (a particle may not move more than half its diameter in it)"
+                "shorten the step (a particle may not move more than half its diameter in it)",
+                "lost-particles",
             )
         velocities = np.empty((sent, 3))
         velocities[row] = read_list(cloud / "U")
