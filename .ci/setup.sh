@@ -98,12 +98,23 @@ if ! environment_works && ! first_that can_make_environments >/dev/null; then
     needed+=(python3-venv)
 fi
 have DPMFoam || wanted+=(openfoam)
+testing=() # for the tests of sweeps that start a Slurm of their own, which only root can; they are skipped without it
+if [ "$level" = dev ] && [ "$(id -u)" -eq 0 ]; then
+    [ -x /usr/sbin/slurmctld ] || testing+=(slurmctld)
+    [ -x /usr/sbin/slurmd ] || testing+=(slurmd)
+    [ -x /usr/sbin/munged ] || testing+=(munge)
+    have sbatch || testing+=(slurm-client)
+fi
 while IFS= read -r package; do wanted+=("$package"); done < <(missing_libraries)
 
-# Two calls: what only some cases or pictures need must not keep the rest from being installed.
+# Several calls: what only some cases or pictures need must not keep the rest from being installed.
 if [ ${#needed[@]} -gt 0 ]; then install "${needed[@]}" || true; fi
 if [ ${#wanted[@]} -gt 0 ]; then
     install "${wanted[@]}" || warn "going on without: ${wanted[*]} (needed for gas or for 3-D pictures only)"
+fi
+
+if [ ${#testing[@]} -gt 0 ]; then
+    install "${testing[@]}" || warn "going on without: ${testing[*]} (the tests with a real Slurm are skipped)"
 fi
 
 # --- environment and package ----------------------------------------

@@ -20,6 +20,8 @@ from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
 
+from kncal.errors import KncalError
+from kncal.mpi import MPIRUN, run_ranks
 from kncal.resources import folder
 from kncal.runner import solver_environment
 
@@ -69,10 +71,10 @@ def examine() -> list[Finding]:
     list of Finding
         Python, packages, solvers, rendering, disk (of the working folder), shipped files, temporary folder.
     """
-    slow: list[Callable[[], Finding]] = [_liggghts, _openfoam, _mpirun, _rendering]
+    slow: list[Callable[[], Finding]] = [_liggghts, _openfoam, _mpirun, _rendering, _slurm]
     with ThreadPoolExecutor(len(slow)) as pool:
         started = [pool.submit(look) for look in slow]
-        quick = [_python(), *_packages()]
+        quick = [_python(), *_packages(), _dask()]
         asked = [future.result() for future in started]
     return [
         *quick,
@@ -143,6 +145,41 @@ def _package(name: str, specifier: str) -> Finding:
     )
 
 
+def _dask() -> Finding:
+    versions: dict[str, str] = {}
+    for name in ("distributed", "dask-jobqueue", "cryptography"):
+        try:
+            versions[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    ok = len(versions) == 3
+    found = ", ".join(f"{name} {version}" for name, version in versions.items())
+    return Finding(
+        name="Dask",
+        ok=ok,
+        found=found if ok else f"not installed{f' (only {found})' if found else ''}",
+        needed_for="sweeps with --executor dask or slurm; one machine does not need it",
+        hint="" if ok else "pip install 'kncal[dask]'",
+    )
+
+
+def _slurm() -> Finding:
+    needed_for = "sweeps in Slurm jobs; where there is no Slurm nothing is missing"
+    path = shutil.which("sbatch")
+    if path is None:
+        hint = "only on a cluster with Slurm: work on a node where jobs are submitted"
+        return Finding(name="Slurm", ok=False, found="no sbatch on PATH", needed_for=needed_for, hint=hint)
+    failure, text = _ask(["sinfo", "--noheader", "--format=%R"], SOLVER_LIMIT, os.environ)
+    if failure:
+        found = f"{path}, but sinfo {failure}: {_last_line(text)}"
+        hint = "see that slurm.conf (SLURM_CONF) is the cluster's, and that its controller runs"
+        return Finding(name="Slurm", ok=False, found=found, needed_for=needed_for, hint=hint)
+    _, version = _ask([path, "--version"], SOLVER_LIMIT, os.environ)
+    queues = ", ".join(sorted({line.strip() for line in text.splitlines() if line.strip()}))
+    found = f"{_last_line(version).removeprefix('slurm ')} ({path}), partitions: {queues[:200] or 'none'}"
+    return Finding(name="Slurm", ok=True, found=found, needed_for=needed_for)
+
+
 def _liggghts() -> Finding:
     from kncal.engines.liggghts import VERSION
 
@@ -176,15 +213,41 @@ def _openfoam() -> Finding:
 
 
 def _mpirun() -> Finding:
-    return _program(
-        "mpirun",
+    finding = _program(
+        MPIRUN,
         ["--version"],
         r"mpirun \(Open MPI\) ([0-9][\w.]*)",
         wanted=None,
         title="Open MPI",
-        needed_for="a run on several cores; single runs do not need it",
+        needed_for="a run on several ranks (-n); runs on one do not need it",
         package="openmpi-bin",
     )
+    if not finding.ok:
+        return finding
+    problem = _two_ranks()
+    if not problem:
+        return replace(finding, found=f"{finding.found}, starts two ranks")
+    hint = "runs on one rank are not concerned; what it says is mostly about the machine's network or temporary folder"
+    return replace(finding, ok=False, found=f"{finding.found}, but two ranks do not start: {problem}", hint=hint)
+
+
+def _two_ranks() -> str:
+    """Start two ranks of LIGGGHTS (where there is none: of a program that does nothing); return what is wrong."""
+    # With an empty deck it joins the other rank, prints its banner and ends.
+    solver = shutil.which("liggghts")
+    command = ("true",) if solver is None else (solver, "-log", "none")
+    try:
+        with tempfile.TemporaryDirectory(prefix="kncal-") as name:
+            place = Path(name)
+            start = run_ranks(command, 2, oversubscribe=True, cwd=place, log=place / "log", timeout=SOLVER_LIMIT)
+    except (KncalError, OSError) as error:
+        return str(error)
+    if start.status != "exited":
+        return f"no answer within {SOLVER_LIMIT:g} s" if start.status == "timed_out" else start.status
+    if start.returncode == 0:
+        return ""
+    how = f"signal {start.signal}" if start.returncode is None else f"code {start.returncode}"
+    return f"ended with {how}: {_last_line(chr(10).join(start.last_lines))}"
 
 
 def _program(

@@ -134,7 +134,10 @@ def test_every_import_is_declared():
     """What kncal imports is what it requires: others' dependencies may go away."""
     halves = {"pydantic_core": "pydantic"}  # released together, each requires the other's exact version
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    required = {re.match(r"[\w.-]+", text).group().lower() for text in project["dependencies"]}
+    required, of_dask = (
+        {re.match(r"[\w.-]+", text).group().lower() for text in texts}
+        for texts in (project["dependencies"], project["optional-dependencies"]["dask"])
+    )
     provided_by = metadata.packages_distributions()
     for path in sorted((ROOT / "kncal").rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -142,8 +145,9 @@ def test_every_import_is_declared():
             if isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
                 names.append(node.module)
             for top in {name.split(".")[0] for name in names} - {"kncal"} - set(sys.stdlib_module_names):
-                owners = {halves.get(owner, owner).lower() for owner in provided_by.get(top, [])}
-                assert owners & required, f"{path.name} imports {top}, which pyproject.toml does not require"
+                owners = {halves.get(owner, owner).lower().replace("_", "-") for owner in provided_by.get(top, [])}
+                declared = required | (of_dask if path.name.startswith("dask_") else set())  # these check for the extra
+                assert owners & declared, f"{path.name} imports {top}, which pyproject.toml does not require"
 
 
 def test_imports_of_kncal_and_of_its_command_are_light(tmp_path):

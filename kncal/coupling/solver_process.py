@@ -14,9 +14,11 @@ from pathlib import Path
 from kncal.errors import RunError, SolverMissingError
 from kncal.io.text import decode_line
 from kncal.runner import ProcessResult
+from kncal.stopping import check_stop
 
 _TOKEN = 4  # bytes of a command and of an answer
 _GRACE = 10.0  # s that a solver may take to end once it was asked, or once its socket has closed
+_LOOK = 0.5  # s between two looks whether to stop, while it waits for an answer
 _CLOCK = os.sysconf("SC_CLK_TCK")
 _LOG_LIMIT = 16 << 20  # bytes; a long run would write gigabytes
 _KEPT = 1 << 14  # bytes from the end of the log that are searched for last words
@@ -141,10 +143,9 @@ class SolverProcess:
         PeerLostError
             If it ended, or did not answer in time.
         """
-        self._socket.settimeout(limit)
         timed_out = False
         try:
-            if len(self._socket.recv(_TOKEN)) == _TOKEN:
+            if len(self._answer(limit)) == _TOKEN:
                 return
         except TimeoutError:
             timed_out = True
@@ -156,6 +157,18 @@ class SolverProcess:
             self.end()
             raise
         raise PeerLostError(self.end(), timed_out=timed_out)
+
+    def _answer(self, limit: float) -> bytes:
+        deadline = time.monotonic() + limit
+        while True:
+            left = deadline - time.monotonic()
+            self._socket.settimeout(max(min(left, _LOOK), 1e-3))
+            try:
+                return self._socket.recv(_TOKEN)
+            except TimeoutError:
+                if left <= _LOOK:
+                    raise
+                check_stop()
 
     def end(self) -> ProcessResult:
         """Close the socket, which ends the solver, and collect it; one that lingers is killed. May be called twice."""

@@ -1,0 +1,356 @@
+"""``kncal sweep``, ``sweep-run``, ``sweep-table``: many runs of one case, here or on a cluster, and their table."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Parameter
+
+from kncal.cli import show
+from kncal.cli.beds import Transport
+from kncal.cli.runs import EngineName, Json, ModelChoice, Oversubscribe, Ranks, Timeout
+from kncal.errors import InputError
+
+if TYPE_CHECKING:
+    from kncal.sweep import Executor, Settings, Sweep, SweepProgress, SweepResult
+    from kncal.sweep.points import Point
+    from kncal.sweep.slurm_script import SlurmOptions
+
+#: Failed runs that are named per class, and characters of their messages.
+_SHOWN, _LONGEST = 3, 400
+
+Parquet = Annotated[bool, Parameter(negative="", help="also write sweep.parquet (needs kncal[parquet])")]
+
+
+def _several(name: str, text: str) -> Parameter:
+    return Parameter(name=name, negative="", help=text)
+
+
+def sweep(
+    case: str,
+    *,
+    overrides: Annotated[
+        list[str] | None,
+        _several("--set", "KEY=VALUE,VALUE,...: a grid over these values (may be repeated); commas in [] don't count"),
+    ] = None,
+    points: Annotated[Path | None, Parameter(help="CSV file: header of dotted keys, one run per row")] = None,
+    sample: Annotated[int | None, Parameter(help="number of points of a Latin hypercube over --range")] = None,
+    ranges: Annotated[
+        list[str] | None, _several("--range", "KEY=LOW:HIGH for --sample, e.g. contact.v_0=0.1:1.0 (may be repeated)")
+    ] = None,
+    log: Annotated[
+        list[str] | None, _several("--log", "KEY of a --range to sample by its logarithm (may be repeated)")
+    ] = None,
+    seed: Annotated[int | None, Parameter(help="of --sample; the same seed gives the same points; default 0")] = None,
+    model: ModelChoice = "both",
+    engine: EngineName = "liggghts",
+    transport: Transport = "auto",
+    workers: Annotated[int | None, Parameter(help="runs at a time; default: one per core (and rank)")] = None,
+    ranks: Ranks = 1,
+    oversubscribe: Oversubscribe = False,
+    out: Annotated[
+        Path | None, Parameter(name="--out", help="folder of the sweep; default runs/<case>_sweep here")
+    ] = None,
+    timeout: Timeout = None,
+    skip_bad: Annotated[
+        bool, Parameter(negative="", help="leave points out that cannot run, instead of refusing all")
+    ] = False,
+    parquet: Parquet = False,
+    executor: Annotated[
+        Literal["local", "dask", "slurm"],
+        Parameter(help="dask: Dask workers here, or of --scheduler; slurm: in Slurm jobs (both need kncal[dask])"),
+    ] = "local",
+    scheduler: Annotated[str | None, Parameter(help="of --executor dask: tcp://HOST:PORT or tls://HOST:PORT")] = None,
+    queue: Annotated[str | None, Parameter(help="Slurm's partition")] = None,
+    walltime: Annotated[str | None, Parameter(help="limit of a Slurm job, e.g. 02:00:00")] = None,
+    memory: Annotated[str | None, Parameter(help="of one run in a Slurm job, e.g. 2G")] = None,
+    interface: Annotated[
+        str | None, Parameter(help="network interface of --executor slurm, e.g. ib0; default: all")
+    ] = None,
+    export_slurm: Annotated[
+        Path | None, Parameter(help="run nothing: write a Slurm job-array script of the runs that are left to FILE")
+    ] = None,
+    json: Json = False,
+) -> int:
+    """Run CASE with every combination of the given values; one run folder each, one table of all.
+
+    The same command again runs only what has no valid result yet. Exit code 0: all completed, 3: some failed.
+
+    Parameters
+    ----------
+    case
+        A shipped case's name, a case folder or a case.toml.
+    """
+    from kncal.case_file import load_case
+    from kncal.sweep import Settings, combine, design, read_sweep, run_sweep
+    from kncal.sweep.slurm_script import SlurmOptions
+    from kncal.sweep.table import check_parquet, write_parquet
+
+    if parquet:
+        check_parquet()
+    groups = _groups(overrides, points, sample, ranges, log, seed)
+    _check_flags(case, engine, transport)
+    kinds = ("linear", "hertz") if model == "both" else (model,)
+    settings = Settings(engine=engine, models=kinds, transport=transport, timeout=timeout)
+    if ranks > 1:
+        settings = replace(settings, ranks=ranks, oversubscribe=oversubscribe)
+        workers = _workers(workers, settings, elsewhere=executor == "slurm" or bool(scheduler or export_slurm))
+    _check_cluster_flags(executor, scheduler, queue, walltime, memory, interface, export_slurm, parquet)
+    options = SlurmOptions(queue=queue or "", walltime=walltime or "", memory=memory or "", interface=interface or "")
+    runner = _executor(executor, workers, scheduler, options)
+    folder = out if out is not None else Path("runs") / f"{load_case(case).name}_sweep"
+    combined = combine(groups)
+    with _bar() as told:
+        made, text = design(case, combined, settings, skip_bad=skip_bad, progress=told.checking)
+        if export_slurm is None:
+            result = run_sweep(made, text, folder, runner, told.running)
+    if export_slurm is not None:
+        return _export(made, text, folder, export_slurm, options, workers, json)
+    if parquet:
+        write_parquet(folder, read_sweep(folder))
+    if json:
+        show.as_json(_summary(result, len(combined), [r.model_dump() for r in made.refused]))
+    else:
+        _print(result, len(combined), [", ".join(r.values) + ": " + r.message for r in made.refused])
+    return 0 if result.completed == result.total and not made.refused else 3
+
+
+def sweep_run(folder: Path, run: str, *, json: Json = False) -> int:
+    """Do one RUN of the sweep in FOLDER, unless it is completed already: what the jobs of --export-slurm call.
+
+    Exit code 0: completed, 3: failed, 4: the solver is missing, 130: interrupted.
+
+    Parameters
+    ----------
+    folder
+        Of the sweep.
+    run
+        Id of the run, as in sweep.csv.
+    """
+    from kncal.sweep import execute_run, read_design
+
+    if run not in read_design(folder).runs:
+        raise InputError(f"{folder}: no run {run[:100]!r}; the ids are in sweep.json and sweep.csv")
+    record = execute_run(folder, run)
+    if json:
+        show.as_json({key: record[key] for key in ("id", "status", "class", "message")})
+    else:
+        show.say(f"{run}: {record['status'].replace('_', ' ')}" + (f": {record['message']}" * bool(record["class"])))
+    return {"completed": 0, "not_installed": 4, "interrupted": 130}.get(record["status"], 3)
+
+
+def sweep_table(folder: Path, *, parquet: Parquet = False, json: Json = False) -> int:
+    """Write the table of the sweep in FOLDER anew from its run folders, and count; runs nothing.
+
+    Exit code 0: all runs are completed, 3: some are not.
+
+    Parameters
+    ----------
+    folder
+        Of the sweep.
+    """
+    from kncal.sweep import read_sweep
+    from kncal.sweep.table import check_parquet, write_parquet, write_table
+
+    if parquet:
+        check_parquet()
+    table = read_sweep(folder)
+    path = write_table(folder, table)
+    if parquet:
+        write_parquet(folder, table)
+    completed = table.assign(yes=table["status"] == "completed").groupby("id")["yes"].all()
+    counts = {str(name): int(number) for name, number in table["status"].value_counts().items()}
+    if json:
+        show.as_json(
+            {"folder": str(folder), "table": str(path), "runs": len(completed), "completed": int(completed.sum())}
+            | {"models": counts}
+        )
+    else:
+        show.say(f"{completed.sum()} of {len(completed)} runs completed")
+        show.say("models: " + ", ".join(f"{number} {name.replace('_', ' ')}" for name, number in counts.items()))
+        show.say(f"table: {path}")
+    return 0 if completed.all() else 3
+
+
+def _executor(name: str, workers: int | None, scheduler: str | None, options: SlurmOptions) -> Executor:
+    if name == "local":
+        from kncal.sweep import ThreadExecutor
+
+        return ThreadExecutor(workers)
+    from kncal.sweep.dask_runs import dask_executor
+
+    return dask_executor(name, workers, scheduler=scheduler, options=options)
+
+
+def _workers(workers: int | None, settings: Settings, *, elsewhere: bool) -> int:
+    """Return how many runs of several ranks go on at a time."""
+    from kncal.mpi import check_fit
+
+    if elsewhere:
+        raise InputError("--ranks: a run on another machine or in a Slurm job has one core; expected --executor local")
+    return check_fit(workers, settings.ranks, oversubscribe=settings.oversubscribe)
+
+
+def _check_cluster_flags(
+    executor: str,
+    scheduler: str | None,
+    queue: str | None,
+    walltime: str | None,
+    memory: str | None,
+    interface: str | None,
+    export: Path | None,
+    parquet: bool,
+) -> None:
+    """Refuse a flag that would be passed over in silence."""
+    if scheduler is not None and executor != "dask":
+        raise InputError("--scheduler has no meaning without --executor dask")
+    if executor != "slurm":
+        if interface is not None:
+            raise InputError("--interface has no meaning without --executor slurm")
+        for name, value in (("--queue", queue), ("--walltime", walltime), ("--memory", memory)):
+            if value is not None and export is None:
+                raise InputError(f"{name} has no meaning without --executor slurm or --export-slurm")
+    if export is not None:
+        if executor != "local":
+            raise InputError(f"--export-slurm runs nothing: leave --executor {executor} out")
+        if parquet:
+            raise InputError("--export-slurm runs nothing, so there is no table: see `kncal sweep-table`")
+
+
+def _export(
+    made: Sweep, text: str, folder: Path, file: Path, options: SlurmOptions, workers: int | None, json: bool
+) -> int:
+    """Write the job-array script of the runs that are left."""
+    from kncal.sweep.slurm_script import array_script, write_script
+    from kncal.sweep.workflow import prepare_sweep
+
+    left = prepare_sweep(made, text, folder)
+    if left:
+        write_script(file, array_script(folder, made.name, left, options, at_once=workers))
+    if json:
+        script = str(file) if left else None
+        show.as_json({"folder": str(folder), "script": script, "runs": len(made.runs), "left": len(left)})
+    elif left:
+        show.say(f"{len(left)} of {len(made.runs)} runs are left; submit them: sbatch {shlex.quote(str(file))}")
+        show.say(f"afterwards: kncal sweep-table {shlex.quote(str(folder))}")
+    else:
+        show.say(f"all {len(made.runs)} runs are completed: no script was written")
+    return 0 if not made.refused else 3
+
+
+def _groups(
+    overrides: list[str] | None,
+    points: Path | None,
+    sample: int | None,
+    ranges: list[str] | None,
+    log: list[str] | None,
+    seed: int | None,
+) -> list[list[Point]]:
+    from kncal.overrides import parse_override
+    from kncal.sweep import grid_axis, parse_range, read_points
+    from kncal.sweep import sample as hypercube
+
+    groups = [grid_axis(text) for text in overrides or ()]
+    if points is not None:
+        groups.append(read_points(points))
+    if sample is None:
+        if alone := [name for name, value in (("--range", ranges), ("--log", log), ("--seed", seed)) if value]:
+            raise InputError(f"{alone[0]} has no meaning without --sample N")
+        return groups
+    found = [parse_range(text, log or ()) for text in ranges or ()]
+    unknown = {parse_override(f"{key}=0").path for key in log or ()} - {r.path for r in found}
+    if unknown:
+        raise InputError(f"--log {'.'.join(unknown.pop())}: no --range of that key")
+    if len({r.path for r in found}) < len(found):
+        raise InputError("--range: a key is given twice; expected each key once")
+    return [*groups, hypercube(found, sample, seed or 0)]
+
+
+def _check_flags(case: str, engine: str, transport: str) -> None:
+    """Refuse a flag that the kind of case at hand would pass over in silence."""
+    from kncal.bed.scene import BedScene
+    from kncal.case_file import load_case
+
+    bed = isinstance(load_case(case), BedScene)
+    if bed and engine != "liggghts":
+        raise InputError("--engine has no meaning for a bed: leave it out")
+    if not bed and transport != "auto":
+        raise InputError("--transport has no meaning for a case of single contacts: leave it out")
+
+
+class _Told:
+    """What the progress of a sweep is told to: a bar, or nothing where stderr is no terminal."""
+
+    def __init__(self, update: Callable[[str, int, int, str], None]) -> None:
+        self._update = update
+
+    def checking(self, done: int, total: int) -> None:
+        self._update("checking", done, total, f"{done} of {total} points")
+
+    def running(self, p: SweepProgress) -> None:
+        left = "" if p.left is None else f", {_time(p.left)} left"
+        kept = f" ({p.kept} from before)" if p.kept else ""
+        text = f"{p.done} of {p.total}: {p.completed} completed{kept}, {p.failed} failed, {p.running} running{left}"
+        self._update("sweep", p.done, p.total, text)
+
+
+def _time(seconds: float) -> str:
+    minutes, s = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{s:02d}"
+
+
+@contextmanager
+def _bar() -> Iterator[_Told]:
+    from rich.progress import BarColumn, Progress, TextColumn
+
+    screen = show.console(stderr=True)
+    columns = (
+        TextColumn("{task.description:>8}"),
+        BarColumn(),
+        TextColumn("{task.fields[text]}"),
+    )
+    with Progress(*columns, console=screen, disable=not screen.is_terminal) as bars:
+        task = bars.add_task("checking", total=None, text="")
+
+        def update(what: str, done: int, total: int, text: str) -> None:
+            bars.update(task, description=what, completed=done, total=total, text=text)
+
+        yield _Told(update)
+
+
+def _summary(result: SweepResult, points: int, refused: list[dict[str, object]]) -> dict[str, object]:
+    return {
+        "folder": str(result.folder),
+        "table": str(result.table),
+        "points": points,
+        "runs": result.total,
+        "completed": result.completed,
+        "kept": result.kept,
+        "failed": sum(map(len, result.failures.values())),
+        "failures": {name: list(ids) for name, ids in result.failures.items()},
+        "messages": dict(result.messages),
+        "refused": refused,
+    }
+
+
+def _print(result: SweepResult, points: int, refused: list[str]) -> None:
+    kept = f", {result.kept} of them before" if result.kept else ""
+    show.say(f"{result.completed} of {result.total} runs completed{kept}")
+    if points > result.total + len(refused):
+        show.say(f"  ({points} points; some of them are the same run)")
+    for name, ids in result.failures.items():
+        show.say(f"{len(ids)} failed: {name}")
+        for run in ids[:_SHOWN]:
+            message = " ".join(result.messages[run].split())
+            show.say(f"  {run}: {message[:_LONGEST]}{' ...' if len(message) > _LONGEST else ''}")
+        if len(ids) > _SHOWN:
+            show.say(f"  and {len(ids) - _SHOWN} more")
+    for text in refused:
+        show.say(f"left out: {text}")
+    show.say(f"table: {result.table}")
