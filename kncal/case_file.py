@@ -5,9 +5,10 @@ A refusal names the file, the line where it can, the key, the value and what is 
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from kncal.bed.scene import BedScene
 from kncal.case_text import (
@@ -42,7 +43,7 @@ __all__ = [
 ]
 
 
-def load_case(case: str | Path, *, name: str | None = None) -> Scene | BedScene:
+def load_case(case: str | Path, *, name: str | None = None, overrides: Sequence[str] = ()) -> Scene | BedScene:
     """Read a case file: a `BedScene` if it has a ``[column]``, else a `Scene`.
 
     Parameters
@@ -51,23 +52,40 @@ def load_case(case: str | Path, *, name: str | None = None) -> Scene | BedScene:
         A case.toml, a folder holding one, or the name of a shipped case.
     name : str, optional
         The scene's name; without it, the folder's name (for a file not called case.toml: its stem).
+    overrides : sequence of str
+        ``KEY=VALUE``, each in place of what the file says (see `kncal.overrides`), e.g. ``run.end_time=0.2``.
 
     Raises
     ------
     CaseFileError
         If there is no such case, or it is not valid: with file, line, key, value and what is expected.
+    InputError
+        If an override is not of its form.
     """
     text, name, where = read_case(case, name)
-    if is_bed(parse_toml(text, where)):
+    tables = parse_toml(text, where)
+    if not overrides:
+        return _parse(text, tables, name, where)
+    from kncal.overrides import overridden, parse_override
+
+    changes = [parse_override(override) for override in overrides]
+    try:
+        return _parse(text, overridden(tables, changes), name, where)
+    except CaseFileError as error:
+        raise CaseFileError(f"{error}\n(with {', '.join(map(str, changes))} from outside the file)") from error
+
+
+def _parse(text: str, tables: Mapping[str, Any], name: str, where: str) -> Scene | BedScene:
+    if is_bed(tables):
         from kncal.bed.case_file import parse_bed
 
-        return parse_bed(text, name=name, where=where)
-    return parse_case(text, name=name, where=where)
+        return parse_bed(text, name=name, where=where, tables=tables)
+    return parse_case(text, name=name, where=where, tables=tables)
 
 
-def load_scene(case: str | Path, *, name: str | None = None) -> Scene:
+def load_scene(case: str | Path, *, name: str | None = None, overrides: Sequence[str] = ()) -> Scene:
     """Read a case of single contacts, as `load_case` does; a bed is refused with `CaseFileError`."""
-    scene = load_case(case, name=name)
+    scene = load_case(case, name=name, overrides=overrides)
     if isinstance(scene, BedScene):
         raise CaseFileError(
             f"{case}: a bed, with a [column] of gas and particles: expected a case of single contacts, one of "
@@ -76,8 +94,10 @@ def load_scene(case: str | Path, *, name: str | None = None) -> Scene:
     return scene
 
 
-def parse_case(text: str, *, name: str, where: str = "case") -> Scene:
+def parse_case(text: str, *, name: str, where: str = "case", tables: Mapping[str, Any] | None = None) -> Scene:
     """Return the scene that the text of a case file describes; ``where`` stands for the file in messages.
+
+    ``tables``: the tables of the text, where some values in them are not the text's.
 
     Raises
     ------
@@ -92,7 +112,7 @@ def parse_case(text: str, *, name: str, where: str = "case") -> Scene:
 
     if not NAME.fullmatch(name):
         raise CaseFileError(f"{where}: name of the case (its folder) = {short(name)}: {NAME_EXPECTED}")
-    tables = parse_toml(text, where)
+    tables = parse_toml(text, where) if tables is None else tables
     try:
         case = CaseTable.model_validate(tables)
     except ValidationError as error:

@@ -103,7 +103,7 @@ def test_kn_of_a_case(capsys):
         (["report", "nowhere"], "nowhere"),
         (["run", "bubbling_bed_mini", "--engine", "builtin"], "--engine has no meaning for a bed"),
         (["compare", "bubbling_bed_mini", "--repeat", "3"], "--repeat has no meaning for a bed"),
-        (["run", "wall_impact", "--resume"], "--resume has no meaning"),
+        (["run", "wall_impact", "--transport", "live"], "--transport has no meaning"),
         (["compare", "wall_impact", "--transport", "live"], "--transport has no meaning"),
     ],
 )
@@ -166,9 +166,17 @@ def test_tables_and_paraview_frames_of_a_run(capsys, tmp_path):
     assert reader.time_values[-1] == pytest.approx(overlaps["t"].iloc[-1], rel=1e-9)
 
 
-def test_second_run_moves_the_first_aside(capsys, tmp_path):
-    for _ in range(3):
-        code, *_ = kncal(capsys, "run", "wall_impact", "--engine", "builtin", "--out", tmp_path, "--model", "linear")
+def test_a_second_run_is_not_made_or_moves_the_first_aside(capsys, tmp_path):
+    arguments = ("run", "wall_impact", "--engine", "builtin", "--out", tmp_path, "--model", "linear")
+    code, *_ = kncal(capsys, *arguments)
+    assert code == 0
+    code, out, err = kncal(capsys, *arguments, "--json")
+    assert code == 0
+    assert json.loads(out)["linear"]["metrics"]
+    assert "linear not run again: it is complete, with the same input" in err
+    assert not (tmp_path / "attempt-1").exists()
+    for _ in range(2):
+        code, *_ = kncal(capsys, *arguments, "--anew")
         assert code == 0
     assert (tmp_path / "attempt-1" / "linear" / "result.json").is_file()
     assert (tmp_path / "attempt-2" / "linear" / "result.json").is_file()

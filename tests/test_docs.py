@@ -15,6 +15,12 @@ import pytest
 
 import kncal
 from kncal import case_schema, cli
+from kncal.bed import schema as bed_schema
+from kncal.bed.case_checks import problems as bed_problems
+from kncal.bed.case_file import parse_bed
+from kncal.bed.limits import check_bed
+from kncal.bed.metrics import BED_METRICS
+from kncal.bed.planning import plan_bed
 from kncal.case_checks import problems
 from kncal.case_file import parse_case, shipped_cases
 from kncal.contact.registry import LAWS
@@ -26,6 +32,7 @@ from kncal.planning import plan
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/**/*.md"), *ROOT.glob("cases/*/README.md")])
 CASE_FILE, THEORY = ROOT / "docs/case-file.md", ROOT / "docs/theory.md"
+BED_FILE = ROOT / "docs/bed-case-file.md"
 
 _BLOCK = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```$", re.S | re.M)
 #: code, and what it prints if that stands right below
@@ -100,17 +107,28 @@ def _complete(page: Path) -> list[str]:
     return [text for kind, text in _blocks(page) if kind == "toml" and "[[particles]]" in text]
 
 
+def _complete_beds(page: Path) -> list[str]:
+    return [text for kind, text in _blocks(page) if kind == "toml" and "[column]" in text]
+
+
 @pytest.mark.parametrize("page", _with("toml"), ids=_name)
 def test_case_examples_load(page: Path) -> None:
     """Whole cases load and can be planned; a few lines of one fit into the page's whole case, or the reference's."""
     for text in _complete(page):
         models = plan(parse_case(text, name="example"))
         assert all(model.n_steps > 0 for model in models.values())
-    base = tomllib.loads((_complete(page) or _complete(CASE_FILE))[0])
+    beds = _complete_beds(page)
+    for text in beds:
+        for model in plan_bed(parse_bed(text, name="example")).values():
+            assert model.couplings > 0
+            assert not [finding for finding in check_bed(model) if finding.level == "refuse"]
+    base = tomllib.loads((beds or _complete(page) or _complete(CASE_FILE))[0])
     for kind, text in _blocks(page):
-        if kind == "toml" and "[[particles]]" not in text:
-            case = case_schema.CaseTable.model_validate(base | tomllib.loads(text))
-            assert problems(case) == []
+        if kind == "toml" and text not in (*beds, *_complete(page)):
+            if beds:
+                assert bed_problems(bed_schema.BedTable.model_validate(base | tomllib.loads(text))) == []
+            else:
+                assert problems(case_schema.CaseTable.model_validate(base | tomllib.loads(text))) == []
 
 
 def test_there_is_a_complete_example() -> None:
@@ -119,6 +137,11 @@ def test_there_is_a_complete_example() -> None:
     example = tomllib.loads(text)
     assert set(example) == set(case_schema.CaseTable.model_fields)
     assert example["contact"]["pairs"]
+    (text,) = _complete_beds(BED_FILE)
+    example = tomllib.loads(text)
+    assert set(example) == set(bed_schema.BedTable.model_fields)
+    assert example["contact"]["pairs"]
+    assert example["gas"]["jet"]
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if _commands(page)], ids=_name)
@@ -174,10 +197,27 @@ TABLES: dict[str, type[case_schema.Table]] = {
 }
 
 
-@pytest.mark.parametrize("heading", TABLES)
-def test_every_key_of_the_case_file_stands_with_its_default(heading: str) -> None:
-    fields = TABLES[heading].model_fields
-    rows = {row[0].strip("`"): row for row in _rows(_section(CASE_FILE, heading))}
+BED_TABLES: dict[str, type[case_schema.Table]] = {
+    "Top level": bed_schema.BedTable,
+    "`[column]`": bed_schema.ColumnTable,
+    "`[particles]`": bed_schema.BedParticlesTable,
+    "`[gas]`": bed_schema.GasTable,
+    "`[gas.jet]`": bed_schema.JetTable,
+    "`[run]`": bed_schema.BedRunTable,
+}
+
+
+@pytest.mark.parametrize(
+    ("page", "heading", "table"),
+    [(CASE_FILE, *item) for item in TABLES.items()] + [(BED_FILE, *item) for item in BED_TABLES.items()],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_every_key_of_the_case_file_stands_with_its_default(
+    page: Path, heading: str, table: type[case_schema.Table]
+) -> None:
+    fields = table.model_fields
+    # keys that share their meaning share a row: `width`, `depth`, `height`
+    rows = {key: row for row in _rows(_section(page, heading)) for key in re.findall(r"`(\w+)`", row[0])}
     assert set(rows) == set(fields)
     for key, field in fields.items():
         default = rows[key][3]
@@ -203,6 +243,8 @@ def test_every_option_metric_and_overrule_stands_in_the_case_file_page() -> None
         for key, value in (m.optional or {}).items()
     }
     assert shown == wanted
+    metrics = " ".join(row[0] for row in _rows(_section(BED_FILE, "`[tolerances]`")))
+    assert set(BED_METRICS) == set(re.findall(r"`(\w+)`", metrics))
     metrics = " ".join(row[0] for row in _rows(_section(CASE_FILE, "`[tolerances]`")))
     assert set(METRICS) <= set(re.findall(r"`(\w+)`", metrics))
     assert {row[0].strip("`") for row in _rows(_section(CASE_FILE, "`[needs]`"))} == set(OVERRULABLE)

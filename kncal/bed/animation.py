@@ -122,10 +122,14 @@ def animate(runs: Mapping[str, BedSeries], path: Path, seconds: float = 12.0) ->
         raise InputError(f"{len(reference.t_frame)} frames: expected at least 2 for an animation")
     every = -(-len(reference.t_frame) // MAX_FRAMES)
     times = reference.t_frame[::every]
-    pictures = (stage.draw({kind: _nearest(series, t) for kind, series in runs.items()}) for t in times.tolist())
+
+    def draw(t: float) -> _Picture:
+        return stage.draw({kind: _nearest(series, t) for kind, series in runs.items()})
+
+    pictures = map(draw, times.tolist())
     pause = seconds / len(times)
     if path.suffix == ".gif":
-        _write_gif(path, pictures, pause)
+        _write_gif(path, pictures, pause, samples=[draw(t) for t in times[:: -(-len(times) // 5)].tolist()])
     else:
         _write_mp4(path, pictures, pause)
     return path
@@ -148,14 +152,26 @@ def _nearest(series: BedSeries, t: float) -> int:
     return int(np.abs(series.t_frame - t).argmin())
 
 
-def _write_gif(path: Path, pictures: Iterator[_Picture], pause: float) -> None:
+def _write_gif(path: Path, pictures: Iterator[_Picture], pause: float, samples: list[_Picture]) -> None:
     from PIL import Image
 
-    first = Image.fromarray(next(pictures)).quantize(128)
-    # one palette for all: colours do not flicker, and frames that change little are small
-    rest = (Image.fromarray(picture).quantize(palette=first, dither=Image.Dither.NONE) for picture in pictures)
+    # One palette for all: colours do not flicker, and frames that change little are small. It is made from pictures of
+    # the whole run: in the first one, at rest, most of the colours do not occur.
+    palette = Image.fromarray(np.concatenate(samples)).quantize(256, dither=Image.Dither.NONE)
+    colours = np.array(palette.getpalette(), dtype=np.uint8).reshape(-1, 3)
+    colours[(colours >= 248).all(axis=1)] = 255  # white stays white
+    palette.putpalette(colours.tobytes())
+    frames = (Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures)
+    first = next(frames)
     # GIF counts in 10 ms, and viewers slow down what is faster than 20 ms
-    first.save(path, save_all=True, append_images=rest, duration=max(20, 10 * round(100.0 * pause)), loop=0)
+    first.save(path, save_all=True, append_images=frames, duration=max(20, 10 * round(100.0 * pause)), loop=0)
+
+
+def has_mp4() -> bool:
+    """Return whether what MP4 needs is installed, the extra ``kncal[mp4]``."""
+    from importlib.util import find_spec
+
+    return find_spec("imageio") is not None and find_spec("imageio_ffmpeg") is not None
 
 
 def _write_mp4(path: Path, pictures: Iterator[_Picture], pause: float) -> None:
@@ -166,8 +182,8 @@ def _write_mp4(path: Path, pictures: Iterator[_Picture], pause: float) -> None:
         import_module("imageio_ffmpeg")
     except ImportError as error:
         raise InputError(
-            f"{path.name}: MP4 needs imageio with ffmpeg ({error}); install them with pip install 'imageio[ffmpeg]', "
-            "or ask for .gif"
+            f"{path.name}: MP4 needs imageio with ffmpeg ({error}); install them with pip install 'kncal[mp4]' "
+            "(which is imageio[ffmpeg]), or ask for .gif"
         ) from error
     writer: Any = imageio.get_writer(path, format="FFMPEG", fps=1.0 / pause, codec="libx264", macro_block_size=2)
     try:

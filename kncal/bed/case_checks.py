@@ -5,12 +5,13 @@ Only contradictions are refused here. What is possible but unwise for the solver
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 
 import numpy as np
 
 from kncal.bed.metrics import BED_METRICS
-from kncal.bed.schema import BedTable
+from kncal.bed.schema import MOST_CELLS, BedTable
 from kncal.case_checks import (
     RIGID,
     Path,
@@ -74,6 +75,8 @@ def _contact(case: BedTable) -> Iterator[Problem]:
 def _column(case: BedTable) -> Iterator[Problem]:
     column, particles = case.column, case.particles
     d = particles.diameter
+    if (cells := math.prod(column.cells)) > MOST_CELLS:
+        yield ("column", "cells"), f"cells = {column.cells}: {cells} in all: expected at most {MOST_CELLS}"
     if column.front_back == "layer" and column.cells[1] != 1:
         yield (
             ("column", "cells"),
@@ -85,9 +88,10 @@ def _column(case: BedTable) -> Iterator[Problem]:
     volume = particles.count * np.pi / 6.0 * d**3
     box = column.width * column.depth * column.height
     if particles.packing != "given" and volume > DENSEST * box:
+        share = volume / box if box > 0.0 else np.inf  # the product of small sides may be 0
         yield (
             ("particles", "count"),
-            f"count = {particles.count}: fills {volume / box:.3g} of the column: expected at most {DENSEST:g}",
+            f"count = {particles.count}: fills {share:.3g} of the column: expected at most {DENSEST:g}",
         )
 
 

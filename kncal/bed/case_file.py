@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from kncal.bed.scene import BedParticles, BedRun, BedScene, Column, Gas, Jet
 from kncal.case_text import contact_tables, entries, material_tables, parse_toml, read_case, settings, table
@@ -26,8 +27,10 @@ def load_bed(case: str | Path, *, name: str | None = None) -> BedScene:
     return parse_bed(text, name=name, where=where)
 
 
-def parse_bed(text: str, *, name: str, where: str = "case") -> BedScene:
+def parse_bed(text: str, *, name: str, where: str = "case", tables: Mapping[str, Any] | None = None) -> BedScene:
     """Return the bed that the text of a case file describes; ``where`` stands for the file in messages.
+
+    ``tables``: the tables of the text, where some values in them are not the text's.
 
     Raises
     ------
@@ -43,7 +46,7 @@ def parse_bed(text: str, *, name: str, where: str = "case") -> BedScene:
 
     if not NAME.fullmatch(name):
         raise CaseFileError(f"{where}: name of the case (its folder) = {short(name)}: {NAME_EXPECTED}")
-    tables = parse_toml(text, where)
+    tables = parse_toml(text, where) if tables is None else tables
     try:
         case = BedTable.model_validate(tables)
     except ValidationError as error:

@@ -9,6 +9,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from kncal.bed.series import BedSeries, write_series_csv
+from kncal.errors import InputError
 
 if TYPE_CHECKING:
     import pyvista
@@ -32,7 +33,17 @@ def write_paraview(series: BedSeries, folder: Path) -> Path:
     -------
     Path
         The collection ``bed.pvd``: the file to open in ParaView. Block 0 holds the particles, block 1 the gas.
+
+    Raises
+    ------
+    InputError
+        If the run recorded no frame.
     """
+    if not len(series.t_frame):
+        raise InputError(
+            f"{series.facts.name}: no frame was recorded, so there is nothing for ParaView: expected "
+            "run.frames_every below run.end_time"
+        )
     (folder / "particles").mkdir(parents=True, exist_ok=True)
     has_gas = len(series.eps_g) > 0
     if has_gas:

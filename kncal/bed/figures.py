@@ -7,22 +7,36 @@ from typing import TYPE_CHECKING
 
 from kncal import plots
 from kncal.bed import pictures
-from kncal.bed.animation import animate
+from kncal.bed.animation import animate, has_mp4, snapshot
 from kncal.bed.compare import BedComparison
+from kncal.bed.scene import BedScene
 from kncal.figures import Figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-#: Signals drawn against time: name in `kncal.bed.pictures.SIGNALS` -> what to look at.
-_SIGNALS = {
-    "p_in": "Pressure at the inlet. Two chaotic runs never follow each other: compare the means and their bands.",
-    "z_mean": "Mean height of the particles: how far the bed is expanded, and whether it still drifts.",
-}
+
+def _signals(scene: BedScene, *, gas: bool) -> dict[str, str]:
+    """Return the signals to draw against time: name in `kncal.bed.pictures.SIGNALS` -> what to look at."""
+    frozen, count = scene.particles.frozen, scene.particles.count
+    found = {}
+    if gas:
+        chaotic = count > 1 and not frozen
+        found["p_in"] = "Pressure at the inlet." + (
+            " Two chaotic runs never follow each other: compare the means and their bands." if chaotic else ""
+        )
+    if count == 1 and not frozen:
+        found["z_mean"] = "Height of the particle."
+    elif count and not frozen:
+        found["z_mean"] = "Mean height of the particles: how far the bed is expanded, and whether it still drifts."
+    return found
 
 
 def draw_bed_figures(comparison: BedComparison, folder: Path) -> tuple[Figure, ...]:
-    """Write every figure that the data allow into ``folder``, as PNG and SVG; the animation as GIF."""
+    """Write every figure that the data allow into ``folder``, as PNG and SVG.
+
+    The animation is a GIF, its last picture a PNG; with the extra ``kncal[mp4]`` there is an MP4 as well.
+    """
     data = (comparison.linear, comparison.hertz)
     runs = {d.model.kind: (d.series, seen) for d, seen in zip(data, comparison.observations, strict=True)}
     figures = []
@@ -32,15 +46,15 @@ def draw_bed_figures(comparison: BedComparison, folder: Path) -> tuple[Figure, .
         figures.append(Figure(name=name, png=png.name, svg=svg.name, caption=caption, alt=alt))
 
     gas = all(seen.eps_g is not None for seen in comparison.observations)
-    for name, caption in _SIGNALS.items():
-        if name != "p_in" or gas:
-            alt = f"{pictures.SIGNALS[name][0]} against time, linear and Hertz."
-            add(name, pictures.signal_time(runs, name), caption, alt)
+    scene = comparison.hertz.model.scene
+    for name, caption in _signals(scene, gas=gas).items():
+        alt = f"{pictures.SIGNALS[name][0]} against time, linear and Hertz."
+        add(name, pictures.signal_time(runs, name), caption, alt)
     if gas:
         add(
             "voidage",
             pictures.voidage_maps(runs).axes[0],
-            "Time mean void fraction, averaged over the depth, and the difference of the two: noise has no shape.",
+            "Time mean void fraction eps_g, averaged over the depth, and the difference: noise has no shape.",
             "Maps of the mean void fraction, linear, Hertz, and their difference.",
         )
     if any(seen.overlaps is not None for seen in comparison.observations):
@@ -64,12 +78,19 @@ def draw_bed_figures(comparison: BedComparison, folder: Path) -> tuple[Figure, .
             "Rise velocity of every bubble that could be followed against its diameter, and of a single bubble.",
             "Rise velocity of bubbles against their diameter, linear and Hertz.",
         )
-    if all(len(d.series.t_frame) > 1 for d in data):
-        path = animate({kind: series for kind, (series, _) in runs.items()}, folder / "animation.gif")
+    several = scene.particles.count > 1 and not scene.particles.frozen  # of one particle the curve shows more
+    if several and all(len(d.series.t_frame) > 1 for d in data):
+        frames = {kind: series for kind, (series, _) in runs.items()}
+        path = animate(frames, folder / "animation.gif")
+        still = snapshot(frames, min(float(d.series.t_frame[-1]) for d in data), folder / "particles.png")
+        video = folder / "animation.mp4"
+        video.unlink(missing_ok=True)  # an earlier report's
+        if has_mp4():
+            animate(frames, video)
         figures.append(
             Figure(
                 name="animation",
-                png=path.name,
+                png=video.name if video.is_file() else still.name,
                 svg=path.name,
                 caption="Both runs at equal times, seen from the front, coloured by the speed of the particles.",
                 alt="Animation of the particles, linear and Hertz side by side.",

@@ -89,13 +89,13 @@ def voidage_maps(runs: Runs) -> Figure:
         image = _field(ax, facts, eps_g, cmap="cividis", vmin=0.35, vmax=1.0)
         ax.set_title(_title(kind), fontsize=10)
     if image is not None:
-        figure.colorbar(image, ax=list(axes[: len(maps)]), label="mean void fraction eps_g [–]", shrink=0.8)
+        _colour_bar(figure, image, list(axes[: len(maps)]), "eps_g [–]")
     if len(maps) == 2:
         (first, (_, a)), (second, (_, b)) = maps.items()
         largest = max(float(np.abs(a - b).max()), 1e-3)
         image = _field(axes[-1], facts, a - b, cmap="RdBu_r", vmin=-largest, vmax=largest)
         axes[-1].set_title(f"{_title(first)} – {_title(second)}", fontsize=10)
-        figure.colorbar(image, ax=axes[-1], label="difference [–]", shrink=0.8)
+        _colour_bar(figure, image, [axes[-1]], "diff. [–]")
     axes[0].set_ylabel(f"z [{si_prefix(facts.size, 'm')[1]}]")
     return figure
 
@@ -106,6 +106,7 @@ def overlap_histogram(runs: Runs, ax: Axes | None = None) -> Axes:
     A bin that begins at zero has no place on the logarithmic axis and is left out.
     """
     ax = plots.new_axes() if ax is None else ax
+    right = 0.0
     for kind, (series, observed) in runs.items():
         overlaps = observed.overlaps
         if overlaps is None:
@@ -118,7 +119,10 @@ def overlap_histogram(runs: Runs, ax: Axes | None = None) -> Axes:
         mean, largest = (100.0 * value / series.facts.diameter for value in (overlaps.mean, overlaps.max))
         ax.axvline(mean, color=colour, linestyle=":", linewidth=1.5, label=f"mean {mean:.3g} %")
         ax.plot([largest], [density[density > 0.0].min()], "v", color=colour, label=f"largest {largest:.3g} %")
+        right = max(right, largest)
     ax.set_xscale("log")
+    if right:
+        ax.set_xlim(right=3.0 * right)  # the bins go on to 100 %
     ax.set_yscale("log")
     ax.set_xlabel("overlap δ / diameter [%]")
     ax.set_ylabel("share of contacts per decade [–]")
@@ -182,7 +186,7 @@ def bubble_rise(runs: Runs, ax: Axes | None = None) -> Axes:
             color=style["color"],
             markerfacecolor="none",
             markersize=4.5,
-            label=f"{_title(kind)}: {len(observed.tracks.diameter)} bubbles",
+            label=f"{_title(kind)}: bubbles followed: {len(observed.tracks.diameter)}",
         )
         largest, gravity = max(largest, float(observed.tracks.diameter.max())), series.facts.gravity
     if largest > 0.0:
@@ -218,6 +222,14 @@ def _field(ax: Axes, facts: BedFacts, values: Array, **colours: Any) -> Any:
     image = ax.imshow(values, origin="lower", extent=extent, interpolation="nearest", aspect="equal", **colours)
     ax.set_xlabel(f"x [{unit}]")
     return image
+
+
+def _colour_bar(figure: Figure, image: Any, axes: list[Axes], name: str) -> None:
+    """Add a colour bar with its name above it: beside it there is the next panel."""
+    bar = figure.colorbar(image, ax=axes, shrink=0.75, pad=0.06, aspect=25)
+    bar.ax.locator_params(axis="y", nbins=6)
+    bar.ax.tick_params(labelsize=9)
+    bar.ax.set_title(name, fontsize=9, pad=8, loc="left")
 
 
 def _depth_mean(observed: BedObservations) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +11,13 @@ from kncal.bed.cost import BedCost
 from kncal.bed.export import write_series_csv
 from kncal.bed.figures import draw_bed_figures
 from kncal.bed.model import BedModel
-from kncal.bed.rows import BedRow
-from kncal.bed.verdict import difference_text, plus_minus
-from kncal.io.tables import write_csv, write_json
+from kncal.bed.report_lines import lines_of, names_of, with_uncertainty
+from kncal.errors import RenderError
+from kncal.io.tables import write_csv, write_json, write_text
 from kncal.report import CONTACT_ENDS, Table, page_template
-from kncal.units import percent, quantity, si_prefix
+from kncal.units import percent, quantity
+
+__all__ = ["with_uncertainty", "write_bed_report"]
 
 _DRAGS = {
     "ErgunWenYu": "Ergun below a void fraction of 0.8, Wen and Yu above (Gidaspow's combination)",
@@ -30,8 +31,8 @@ _DEPTHS = {
 _MODEL_B = (
     "Gas and particles: DPMFoam gives the whole pressure gradient to the gas (Gidaspow's model B), and its drag law is"
     " scaled by the void fraction to hold the pressure-gradient force, which is therefore not added again. The equation"
-    " of the gas carries its full weight, so the buoyancy V ρ_g g is given to each particle besides the drag. The gas"
-    " makes one step per coupling interval, and the force on a particle is held during it."
+    " of the gas carries its full weight, so the buoyancy V ρ_g g is given to each particle besides the drag. The force"
+    " on a particle is held during a coupling interval, in which the gas makes one step or several."
 )
 
 
@@ -59,6 +60,8 @@ def write_bed_report(
         Of ``index.html``; beside it ``comparison.json``, ``quantities.csv``, the numbers per coupling of each run
         (``linear.csv``, ``hertz.csv``), the figures as PNG and SVG, and ``animation.gif``.
     """
+    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+        raise RenderError(f"{folder}: expected a folder for the report (or nothing yet), not a file or a link")
     folder.mkdir(parents=True, exist_ok=True)
     figures = draw_bed_figures(comparison, folder)
     texts = list(dict.fromkeys((*warnings, *_contact_warnings(comparison))))
@@ -74,75 +77,29 @@ def write_bed_report(
     for data in (comparison.linear, comparison.hertz):
         write_series_csv(folder / f"{data.model.kind}.csv", data.series)
     scene = comparison.hertz.model.scene
+    lines = lines_of(comparison.rows)
     page = folder / "index.html"
-    page.write_text(
+    write_text(
+        page,
         page_template("bed.html.j2").render(
             case=scene.name,
             title=scene.title,
             source=scene.source,
             state=comparison.state,
             sentences=comparison.sentences,
-            rows=[_line(r) for r in comparison.rows],
+            lines=lines,
             windows=_windows(comparison),
             costs=_cost_table(comparison),
             invariants=_invariant_table(comparison),
             warnings=texts,
             figures=figures,
             settings=_settings(comparison),
-            conventions=_conventions(comparison.linear.model, comparison.hertz.model),
+            conventions=_conventions(comparison.linear.model, comparison.hertz.model, names_of(lines.rows)),
             provenance=provenance,
             files=("comparison.json", "quantities.csv", "linear.csv", "hertz.csv"),
         ),
-        encoding="utf-8",
     )
     return page
-
-
-@dataclass(frozen=True)
-class _Line:
-    """A row of the table as the page shows it."""
-
-    name: str
-    text: str
-    linear: str
-    hertz: str
-    difference: str
-    seen: str
-    allowed: str
-    verdict: str
-    remark: str
-
-
-def _line(r: BedRow) -> _Line:
-    remarks = [] if r.basis in ("", "relative to hertz") else [f"difference: {r.basis}"]
-    if r.verdict == "undecided":
-        needed = "out of reach" if r.needed_end_time is None else f"until about {r.needed_end_time:.3g} s"
-        remarks.append(f"to decide, run {needed}")
-    remarks += [r.reason] if r.reason else []
-    seen = {True: "yes", False: "none seen", None: "not known"}[r.significant]
-    return _Line(
-        name=r.metric,
-        text=r.text,
-        linear=with_uncertainty(r.linear, r.linear_uncertainty, r.unit),
-        hertz=with_uncertainty(r.hertz, r.hertz_uncertainty, r.unit),
-        difference=difference_text(r),
-        seen="" if r.difference is None else seen,
-        allowed="" if r.tolerance is None else f"±{100.0 * r.tolerance:.3g} %",
-        verdict="" if r.verdict == "-" else r.verdict,
-        remark="; ".join(remarks),
-    )
-
-
-def with_uncertainty(value: float | None, uncertainty: float | None, unit: str) -> str:
-    """Return a number and its uncertainty with one unit: "105.3 ± 1.2 Pa"; "–" for one that is not there."""
-    if value is None:
-        return "–"
-    if not uncertainty:
-        return quantity(value, unit)
-    factor, label = (1.0, "") if unit in ("", "–") else si_prefix(max(abs(value), uncertainty), unit)
-    if "²" in unit:  # a prefix before a power would be read as part of it
-        factor, label = 1.0, unit
-    return f"{plus_minus(factor * value, factor * uncertainty)} {label}".rstrip()
 
 
 def _windows(comparison: BedComparison) -> str:
@@ -190,7 +147,14 @@ def _cost_table(comparison: BedComparison) -> Table:
         _ratio(hertz.wall, linear.wall),
     )
     with_ratios = zip(rows, (ratios[0], _ratio(hertz.dem.dt, linear.dem.dt), *ratios[1:]), strict=True)
-    return Table(("", "linear", "Hertz", "Hertz / linear"), tuple((*row, ratio) for row, ratio in with_ratios))
+    moving = any(c.dem.cpu_seconds > 0.0 for c in costs)
+    kept = tuple((*row, ratio) for row, ratio in with_ratios if moving or not _of_particles(row[0]))
+    return Table(("", "linear", "Hertz", "Hertz / linear"), kept)
+
+
+def _of_particles(cost: str) -> bool:
+    """Return whether a line of the cost table is about LIGGGHTS alone."""
+    return "DEM" in cost or "contact" in cost
 
 
 def _ratio(hertz: float | None, linear: float | None) -> str:
@@ -205,9 +169,10 @@ def _invariant_table(comparison: BedComparison) -> Table:
             "–" if i.linear is None else f"{i.linear:.3g}",
             "–" if i.hertz is None else f"{i.hertz:.3g}",
             f"{'more than' if i.at_least else 'at most'} {i.limit:g}",
-            "outside" if not i.holds else "" if i.linear is i.hertz is None else "ok",
+            "ok" if i.holds else "outside",
         )
         for i in comparison.invariants
+        if not (i.holds and i.linear is i.hertz is None)
     )
     return Table(("", "", "linear", "Hertz", "limit", ""), rows)
 
@@ -232,8 +197,8 @@ def _settings(comparison: BedComparison) -> Table:
     smallest = min(s / n for axis, (s, n) in enumerate(edges) if not (axis == 1 and column.front_back == "layer"))
     rows = [
         ("transport between the solvers", *(c.transport for c in comparison.costs)),
-        ("coupling interval = gas step", *(quantity(m.coupling, "s") for m in models)),
-        ("DEM steps per coupling", *(str(m.steps_per_coupling) for m in models)),
+        ("coupling interval", *(quantity(m.coupling, "s") for m in models)),
+        ("gas step", *(quantity(m.gas_step, "s") if gas is not None else "–" for m in models)),
         ("box (x, y, z)", size, size),
         ("front and back", *(2 * (_DEPTHS.get(column.front_back, column.front_back),))),
         ("gas cells (x, y, z)", *(2 * (f"{cells}; smallest edge {smallest / particles.diameter:.3g} diameters",))),
@@ -242,6 +207,8 @@ def _settings(comparison: BedComparison) -> Table:
             *(2 * (f"{particles.count:,} of {quantity(particles.diameter, 'm')}, start: {particles.packing}",)),
         ),
     ]
+    if particles.count and not particles.frozen:
+        rows.insert(3, ("DEM steps per coupling", *(str(m.steps_per_coupling) for m in models)))
     if gas is not None:
         inlet = f"{quantity(gas.U_0, 'm/s')} over the floor"
         if gas.jet is not None:
@@ -267,25 +234,26 @@ def _contact(model: BedModel, pair: tuple[str, str]) -> str:
     return f"{c.law}: {stiffness}, e_n = {c.e_n:g}, friction {c.friction:g}, t_c = {quantity(c.t_c, 's', 3)}"
 
 
-def _conventions(linear: BedModel, hertz: BedModel) -> list[str]:
+def _conventions(linear: BedModel, hertz: BedModel, shown: set[str]) -> list[str]:
+    """Return what the numbers mean; of the quantities only those in the table, ``shown``."""
     scene = hertz.scene
     texts = [_MODEL_B] if scene.gas is not None else []
     if hertz.contacts:
         ratios = {pair: c.k_t / c.k for pair, c in linear.contacts.items() if c.friction > 0.0}
-        shown = ", ".join(f"{ratio:.3g} ({'–'.join(pair)})" for pair, ratio in ratios.items())
+        listed = ", ".join(f"{ratio:.3g} ({'–'.join(pair)})" for pair, ratio in ratios.items())
         how = "Mindlin's 4 G_eff/E_eff" if scene.contact.k_t_ratio is None else "as the case gives it"
         tangential = "no friction, so no tangential force in either run."
         if ratios:
             tangential = (
-                f"linear k_t/k_n = {shown}, {how}; Hertz: Mindlin's 8 G_eff sqrt(R_eff δ). Friction with a tangential"
+                f"linear k_t/k_n = {listed}, {how}; Hertz: Mindlin's 8 G_eff sqrt(R_eff δ). Friction with a tangential"
                 " spring and no tangential damping in both; the two decks differ in nothing but the normal law, its"
                 " tangential stiffness and the time step."
             )
         texts += [f"Tangential stiffness: {tangential}", CONTACT_ENDS[scene.contact.end]]
-    limit = percent(0.01).lstrip("+")
-    texts.append(
-        "Bubbles are connected cells with a void fraction above 0.7 that do not reach the freeboard. The bed height is"
-        " where the laterally averaged void fraction crosses 0.8. overlap_share counts contacts above"
-        f" {limit} of the diameter."
-    )
+    if any(name.startswith("bubble_") for name in shown):
+        texts.append("Bubbles are connected cells with a void fraction above 0.7 that do not reach the freeboard.")
+    if "bed_height" in shown:
+        texts.append("The bed height is where the laterally averaged void fraction crosses 0.8.")
+    if "overlap_share" in shown:
+        texts.append(f"overlap_share counts contacts above {percent(0.01).lstrip('+')} of the diameter.")
     return texts

@@ -7,13 +7,14 @@ failed (also disk full, or not writable), 4 solver missing, 130 interrupted (Ctr
 from __future__ import annotations
 
 import contextlib
+import contextvars
 import errno
 import sys
 
 from cyclopts import App, CycloptsError
 
 from kncal import __version__
-from kncal.cli import beds, calibrate, cases, runs, show
+from kncal.cli import beds, calibrate, cases, runs, show, sweeps, upkeep
 from kncal.errors import InterruptedRunError, KncalError, RunError, SolverMissingError
 
 OK, OUTSIDE, USAGE, FAILED, MISSING, INTERRUPTED = 0, 1, 2, 3, 4, 130
@@ -39,8 +40,13 @@ app.command(runs.render)
 app.command(runs.run)
 app.command(runs.compare)
 app.command(runs.report)
+app.command(upkeep.status)
+app.command(upkeep.clean)
 app.command(cases.doctor)
 app.command(beds.adapter)
+app.command(sweeps.sweep)
+app.command(sweeps.sweep_run)
+app.command(sweeps.sweep_table)
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -55,7 +61,8 @@ def _run(arguments: list[str]) -> int:
     if any(text == "" or (text.startswith("--") and text.endswith("=")) for text in arguments):
         return _complain("an argument is empty: expected a value", USAGE)
     try:
-        code = app(arguments, exit_on_error=False, print_error=True)
+        # templates that these arguments trust are trusted no longer than they are worked on
+        code = contextvars.copy_context().run(app, arguments, exit_on_error=False, print_error=True)
         if sys.stdout is not None:
             sys.stdout.flush()
     except CycloptsError:

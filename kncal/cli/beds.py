@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -17,9 +18,6 @@ if TYPE_CHECKING:
 Transport = Annotated[
     Literal["auto", "live", "restart"],
     Parameter(help="beds: how gas and particles exchange; auto is live where the adapter is built"),
-]
-Resume = Annotated[
-    bool, Parameter(negative="", help="beds: go on with the unfinished runs in --out from their last checkpoint")
 ]
 
 adapter = App(name="adapter", help="The adapter of the live transport: a small library for OpenFOAM, built here once.")
@@ -43,19 +41,65 @@ def status() -> int:
     return 0 if library else 4
 
 
+def render_bed(scene: BedScene, folder: Path, kinds: tuple[str, ...], ranks: int, *, oversubscribe: bool) -> None:
+    """Write what both solvers of a bed read, and say what runs by hand."""
+    from kncal.bed.rendering import README
+    from kncal.bed.rendering import render_bed as render_models
+    from kncal.bed.workflow import warnings_of
+
+    with show.working("packing"):
+        models = render_models(scene, folder, kinds, ranks=ranks, oversubscribe=oversubscribe)
+    for kind, m in models.items():
+        show.say(
+            f"{folder / kind}: {m.couplings} couplings of {show.quantity(m.coupling, 's')}, "
+            f"{m.steps_per_coupling} DEM steps of {show.quantity(m.dt, 's')} each"
+        )
+    for text in warnings_of(models.values()):
+        show.say(f"  warning: {text}")
+    show.say(f"Each side runs by hand (see {README}); the exchange between them needs kncal run.")
+
+
+def export_beds(folder: Path, kinds: Iterable[str], *, paraview: bool) -> None:
+    """Write the frames of the runs in ``folder`` for ParaView, if asked for."""
+    if not paraview:
+        return
+    from kncal.bed.export import write_paraview
+    from kncal.bed.workflow import load_bed_run
+
+    for kind in kinds:
+        write_paraview(load_bed_run(folder / kind).series, folder / kind / "paraview")
+
+
 def run_bed(
-    scene: BedScene, folder: Path, kinds: tuple[str, ...], transport: str, timeout: float | None, *, resume: bool
+    scene: BedScene,
+    folder: Path,
+    kinds: tuple[str, ...],
+    transport: str,
+    timeout: float | None,
+    *,
+    anew: bool,
+    ranks: int,
+    oversubscribe: bool,
 ) -> dict[str, RunResult]:
     """Run (or go on with) a bed and raise if a run did not complete."""
-    from kncal.bed.workflow import resume_bed
+    from kncal.bed.planning import plan_bed
     from kncal.bed.workflow import run_bed as run_models
     from kncal.workflow import require_completed
 
-    with show.progress_bars() as progress_for:
-        if resume:
-            results = resume_bed(scene, folder, transport=transport, timeout=timeout, progress_for=progress_for)
-        else:
-            results = run_models(scene, folder, kinds, transport=transport, timeout=timeout, progress_for=progress_for)
+    intervals = {kind: model.coupling for kind, model in plan_bed(scene, kinds).items()}
+    with show.time_bars(intervals) as progress_for:
+        results = run_models(
+            scene,
+            folder,
+            kinds,
+            transport=transport,
+            timeout=timeout,
+            progress_for=progress_for,
+            anew=anew,
+            tell=show.note,
+            ranks=ranks,
+            oversubscribe=oversubscribe,
+        )
     require_completed(results.values())
     return results
 

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from cyclopts import Parameter
 
 from kncal.cli import show
 from kncal.cli.contact_flags import ContactFlags
+from kncal.cli.runs import Set
 from kncal.errors import InputError
 
 if TYPE_CHECKING:
+    from kncal.bed.scene import BedScene
     from kncal.material import Pair
+    from kncal.scene import Scene
 
 Json = Annotated[bool, Parameter(name="--json", negative="", help="print data for machines")]
 
@@ -36,6 +40,7 @@ def kn(
     force: Annotated[float | None, Parameter(help="resting force [N] for static_load")] = None,
     factor: Annotated[float, Parameter(help="prefactor of youngs_modulus")] = 1.0,
     steps_per_contact: Annotated[float, Parameter(help="N of the advised time steps")] = 50.0,
+    overrides: Set = None,
     json: Json = False,
 ) -> None:
     """Linear stiffness and damping by every method, for a material given by flags or for the pairs of a CASE.
@@ -50,12 +55,14 @@ def kn(
     options = {"fraction": fraction, "factor": factor}
     options |= {name: value for name, value in (("t_c", t_c), ("force", force)) if value is not None}
     flags = contact or ContactFlags()
+    if overrides and case is None:
+        raise InputError("--set needs a case whose values it replaces: name a case, or leave it out")
     if case is not None:
         if given := flags.given():
             raise InputError(
                 f"{given[0]} and the case {case!r}: the case holds these numbers; expected one or the other"
             )
-        _kn_case(case, options, steps_per_contact, json=json)
+        _kn_case(case, overrides or (), options, steps_per_contact, json=json)
         return
     pair, v_0, e_n = flags.pair(), flags.speed(), flags.restitution()
     data = _kn_data(pair, v_0, e_n, flags.law, flags.end, options, steps_per_contact)
@@ -69,22 +76,50 @@ def kn(
     show.say(block)
 
 
-def _kn_case(case: str, options: dict[str, Any], steps: float, *, json: bool) -> None:
-    from kncal.case_file import load_scene
+class _CasePair(NamedTuple):
+    """A pair of a case and what the case says about it; ``v_0`` and ``k_n`` may be None."""
+
+    name: str
+    pair: Pair
+    e_n: float
+    v_0: float | None
+    k_n: float | None
+
+
+def _pairs(scene: Scene | BedScene) -> Iterator[_CasePair]:
+    """Every pair of bodies of a case; of a bed: two particles, a particle and a wall."""
+    from kncal.bed.scene import BedScene
+
+    if isinstance(scene, BedScene):
+        from kncal.bed.planning import PARTICLES, WALLS, bed_pairs
+        from kncal.pair_contact import numbers_of
+
+        wall = scene.column.wall_material
+        names = {PARTICLES: scene.particles.material.name, WALLS: "rigid" if wall is None else wall.name}
+        for (one, other), both in bed_pairs(scene).items():
+            exception = scene.contact.exception((one, names[one]), (other, names[other]))
+            numbers = numbers_of(scene.contact, exception)
+            yield _CasePair(f"{one}–{other}", both, numbers.e_n, numbers.v_0, numbers.k_n)
+        return
     from kncal.planning import pair_choice, pair_of
 
-    scene = load_scene(case)
-    result: dict[str, dict[str, Any]] = {}
     for a, b in scene.body_pairs():
         e_n, _, v_0, k_n = pair_choice(scene, a, b)
-        if v_0 is None:
-            result[f"{a.name}–{b.name}"] = {"k_n_prescribed": k_n, "methods": []}
-            continue
-        merged = options | dict(scene.contact.method_options)
-        contact = scene.contact
-        result[f"{a.name}–{b.name}"] = _kn_data(pair_of(a, b), v_0, e_n, contact.law, contact.end, merged, steps) | {
-            "k_n_prescribed": k_n
-        }
+        yield _CasePair(f"{a.name}–{b.name}", pair_of(a, b), e_n, v_0, k_n)
+
+
+def _kn_case(case: str, overrides: Sequence[str], options: dict[str, Any], steps: float, *, json: bool) -> None:
+    from kncal.case_file import load_case
+
+    scene = load_case(case, overrides=overrides)
+    contact = scene.contact
+    merged = options | dict(contact.method_options)
+    result: dict[str, dict[str, Any]] = {}
+    for p in _pairs(scene):
+        result[p.name] = {"methods": []}
+        if p.v_0 is not None:
+            result[p.name] = _kn_data(p.pair, p.v_0, p.e_n, contact.law, contact.end, merged, steps)
+        result[p.name]["k_n_prescribed"] = p.k_n
     if json:
         show.as_json({"case": scene.name, "method": scene.contact.method, "pairs": result})
         return
@@ -92,9 +127,7 @@ def _kn_case(case: str, options: dict[str, Any], steps: float, *, json: bool) ->
         if data["methods"]:
             _kn_print(name, data)
         else:
-            show.say(
-                f"{name}: nothing moves towards anything, so there is no speed to calibrate at (contact.v_0 sets one)"
-            )
+            show.say(f"{name}: the case has no impact speed to calibrate at (contact.v_0 sets one)")
         if data["k_n_prescribed"] is not None:
             show.say(f"{name}: the case prescribes k_n = {show.quantity(data['k_n_prescribed'], 'N/m')}")
         else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -9,12 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from kncal.cli import show
-from kncal.cli.beds import Resume, Transport, compare_bed, print_bed_results, run_bed
+from kncal.cli.beds import Transport, compare_bed, export_beds, print_bed_results, render_bed, run_bed
 from kncal.errors import InputError
 
 if TYPE_CHECKING:
     from kncal.bed.scene import BedScene
     from kncal.compare import Comparison, RunData
+    from kncal.engines.base import Engine
     from kncal.model import Model
     from kncal.scene import Scene
 
@@ -31,21 +33,61 @@ ModelChoice = Annotated[
     Literal["both", "linear", "hertz"], Parameter(name="--model", help="which contact model to use")
 ]
 ParaView = Annotated[bool, Parameter(name="--paraview", negative="", help="also write frames that ParaView opens")]
+Set = Annotated[
+    list[str] | None,
+    Parameter(
+        name="--set",
+        negative="",
+        help="KEY=VALUE in place of what the case file says, e.g. run.end_time=0.2 (may be repeated)",
+    ),
+]
+Trust = Annotated[
+    Path | None,
+    Parameter(
+        name="--trust-templates",
+        help="folder of templates in the place of kncal's of the same name; the solvers obey what is in them",
+    ),
+]
+Anew = Annotated[
+    bool, Parameter(name="--anew", negative="", help="run again what is complete, or could be gone on with")
+]
 Timeout = Annotated[float | None, Parameter(name="--timeout", help="wall-clock limit of each run [s]")]
+Ranks = Annotated[int, Parameter(name=("--ranks", "-n"), help="processes that share one run (MPI); beds: the gas only")]
+Oversubscribe = Annotated[
+    bool, Parameter(name="--oversubscribe", negative="", help="allow more ranks than there are cores")
+]
 
 
-def render(case: str, *, engine: EngineName = "liggghts", model: ModelChoice = "both", out: Out = None) -> None:
+def render(
+    case: str,
+    *,
+    engine: EngineName = "liggghts",
+    model: ModelChoice = "both",
+    out: Out = None,
+    overrides: Set = None,
+    ranks: Ranks = 1,
+    oversubscribe: Oversubscribe = False,
+    trust_templates: Trust = None,
+) -> None:
     """Write the solver input of CASE: a folder per model that runs by hand with ./Allrun.
+
+    Of a bed, the particles' deck and the gas case each run by hand; the exchange between them needs kncal.
 
     Parameters
     ----------
     case
         A shipped case's name, a case folder or a case.toml.
     """
+    from kncal.bed.scene import BedScene
     from kncal.workflow import get_engine, render_case
 
-    scene, folder = _scene(case, out)
-    models = render_case(scene, get_engine(engine), folder, _kinds(model))
+    scene, folder = _load(case, out, overrides, trust_templates)
+    if isinstance(scene, BedScene):
+        _refuse_ignored(scene, engine=engine != "liggghts")
+        render_bed(scene, folder, _kinds(model), ranks, oversubscribe=oversubscribe)
+        return
+    solver = get_engine(engine, ranks=ranks, oversubscribe=oversubscribe)
+    models = render_case(scene, solver, folder, _kinds(model))
     for kind, m in models.items():
         show.say(
             f"{folder / kind}: {m.n_steps} steps of {show.quantity(m.dt, 's')} to t = {show.quantity(m.t_end, 's')}"
@@ -62,7 +104,11 @@ def run(
     timeout: Timeout = None,
     paraview: ParaView = False,
     transport: Transport = "auto",
-    resume: Resume = False,
+    anew: Anew = False,
+    overrides: Set = None,
+    ranks: Ranks = 1,
+    oversubscribe: Oversubscribe = False,
+    trust_templates: Trust = None,
     json: Json = False,
 ) -> None:
     """Render and run CASE, and print what was observed.
@@ -72,18 +118,19 @@ def run(
     case
         A shipped case's name, a case folder or a case.toml.
     """
+    from kncal.bed.scene import BedScene
     from kncal.metrics import metric_unit
-    from kncal.workflow import load_run
+    from kncal.workflow import get_engine, load_run
 
-    bed, folder = _bed(case, out)
+    scene, folder = _load(case, out, overrides, trust_templates)
     kinds = _kinds(model)
-    _refuse_ignored(bed, engine=engine != "liggghts", paraview=paraview, transport=transport != "auto", resume=resume)
-    if bed is not None:
-        results = run_bed(bed, folder, kinds, transport, timeout, resume=resume)
-        print_bed_results(bed, folder, results, json=json)
+    _refuse_ignored(scene, engine=engine != "liggghts", transport=transport != "auto")
+    if isinstance(scene, BedScene):
+        results = run_bed(scene, folder, kinds, transport, timeout, anew=anew, ranks=ranks, oversubscribe=oversubscribe)
+        export_beds(folder, results, paraview=paraview)
+        print_bed_results(scene, folder, results, json=json)
         return
-    scene, folder = _scene(case, out)
-    _run(scene, engine, folder, kinds, timeout)
+    _run(scene, get_engine(engine, ranks=ranks, oversubscribe=oversubscribe), folder, kinds, timeout, anew=anew)
     runs = {kind: load_run(folder / kind) for kind in kinds}
     _export(runs.values(), paraview)
     if json:
@@ -124,7 +171,11 @@ def compare(
     repeat: Annotated[int, Parameter(help="how often each model is run, for the spread of the CPU time")] = 1,
     paraview: ParaView = False,
     transport: Transport = "auto",
-    resume: Resume = False,
+    anew: Anew = False,
+    overrides: Set = None,
+    ranks: Ranks = 1,
+    oversubscribe: Oversubscribe = False,
+    trust_templates: Trust = None,
     json: Json = False,
 ) -> int:
     """Run CASE with the linear and the Hertz contact and compare; exit code 0 within the tolerances, 1 outside.
@@ -136,30 +187,45 @@ def compare(
     second
         The folder of the Hertz run, to compare two runs that exist already.
     """
+    from kncal.bed.scene import BedScene
     from kncal.compare import compare as compare_runs
-    from kncal.workflow import complete, load_both, load_pair
+    from kncal.workflow import complete, get_engine, load_both, load_pair
 
     if second is not None:
+        if overrides:
+            raise InputError("--set has no meaning for two runs that exist already: leave it out")
+        if trust_templates:
+            raise InputError("--trust-templates has no meaning for two runs that exist already: leave it out")
+        if ranks != 1:
+            raise InputError("--ranks has no meaning for two runs that exist already: leave it out")
         linear, hertz = load_pair(Path(first), second)
         comparison = compare_runs(complete(linear), complete(hertz))
         where = None
     else:
         if repeat < 1:
             raise InputError(f"--repeat = {repeat}: expected at least 1")
-        bed, folder = _bed(first, out)
+        scene, folder = _load(first, out, overrides, trust_templates)
         _refuse_ignored(
-            bed,
+            scene,
             engine=engine != "liggghts",
-            paraview=paraview,
             repeat=repeat > 1,
             transport=transport != "auto",
-            resume=resume,
         )
-        if bed is not None:
-            run_bed(bed, folder, ("linear", "hertz"), transport, timeout, resume=resume)
+        if isinstance(scene, BedScene):
+            results = run_bed(
+                scene,
+                folder,
+                ("linear", "hertz"),
+                transport,
+                timeout,
+                anew=anew,
+                ranks=ranks,
+                oversubscribe=oversubscribe,
+            )
+            export_beds(folder, results, paraview=paraview)
             return compare_bed(folder, folder / "report", json=json)
-        scene, folder = _scene(first, out)
-        _run(scene, engine, folder, ("linear", "hertz"), timeout, repeat)
+        solver = get_engine(engine, ranks=ranks, oversubscribe=oversubscribe)
+        _run(scene, solver, folder, ("linear", "hertz"), timeout, repeat, anew=anew)
         linear, hertz = load_both(folder)
         _export((linear, hertz), paraview)
         comparison = compare_runs(complete(linear), complete(hertz))
@@ -195,21 +261,27 @@ def report(folder: Path, *, out: Annotated[Path | None, Parameter(name="--out")]
     return 0
 
 
-def _bed(case: str, out: Path | None) -> tuple[BedScene | None, Path]:
-    """Return the bed that ``case`` is (None for a case of single contacts) and its run folder."""
-    from kncal.bed.scene import BedScene
+def _load(
+    case: str, out: Path | None, overrides: list[str] | None, templates: Path | None
+) -> tuple[Scene | BedScene, Path]:
+    """Return what ``case`` describes, with the values of --set, and its run folder; trust ``templates`` from now on."""
     from kncal.case_file import load_case
+    from kncal.foreign_templates import trust_from_now
 
-    scene = load_case(case)
-    return scene if isinstance(scene, BedScene) else None, out if out is not None else Path("runs") / scene.name
+    for name, digest in trust_from_now(templates).items():
+        print(show.printable(f"not kncal's template: {name}, sha256 {digest}"), file=sys.stderr)
+    scene = load_case(case, overrides=overrides or ())
+    return scene, out if out is not None else Path("runs") / scene.name
 
 
-def _refuse_ignored(bed: BedScene | None, **given: bool) -> None:
+def _refuse_ignored(scene: Scene | BedScene, **given: bool) -> None:
     """Refuse a flag that the kind of case at hand would pass over in silence."""
-    others = ("transport", "resume") if bed is None else ("engine", "paraview", "repeat")
-    for name in others:
+    from kncal.bed.scene import BedScene
+
+    is_bed = isinstance(scene, BedScene)
+    for name in ("engine", "repeat") if is_bed else ("transport",):
         if given.get(name):
-            kind = "a case of single contacts" if bed is None else "a bed"
+            kind = "a bed" if is_bed else "a case of single contacts"
             raise InputError(f"--{name} has no meaning for {kind}: leave it out")
 
 
@@ -221,36 +293,33 @@ def _is_bed(folder: Path) -> bool:
     return (model / "manifest.json").is_file() and isinstance(read_model_folder(model)[0], BedScene)
 
 
-def _scene(case: str, out: Path | None) -> tuple[Scene, Path]:
-    from kncal.case_file import load_scene
-
-    scene = load_scene(case)
-    return scene, out if out is not None else Path("runs") / scene.name
-
-
 def _kinds(model: str) -> tuple[str, ...]:
     return ("linear", "hertz") if model == "both" else (model,)
 
 
 def _run(
     scene: Scene,
-    engine: str,
+    engine: Engine,
     folder: Path,
     kinds: tuple[str, ...],
     timeout: float | None,
     repeat: int = 1,
+    *,
+    anew: bool,
 ) -> None:
-    from kncal.workflow import get_engine, require_completed, run_case
+    from kncal.workflow import require_completed, run_case
 
     with show.progress_bars() as progress_for:
         results = run_case(
             scene,
-            get_engine(engine),
+            engine,
             folder,
             kinds,
             timeout=timeout,
             progress_for=progress_for,
             repeat=repeat,
+            anew=anew,
+            tell=show.note,
         )
     require_completed(results.values())
 

@@ -6,12 +6,14 @@ import io
 import json
 import signal
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.progress import Progress as RichProgress
+    from rich.progress import TaskID
 
     from kncal.engines.base import Progress
 
@@ -72,16 +74,24 @@ def say(text: str = "") -> None:
     print(printable(text))
 
 
+def note(text: str) -> None:
+    """Print a line on stderr: what is said about the work, not its result."""
+    print(printable(text), file=sys.stderr)
+
+
 def as_json(data: Any) -> None:
     """Print ``data`` as JSON; refuses NaN."""
     utf8 = (getattr(sys.stdout, "encoding", None) or "utf-8").lower().replace("-", "") == "utf8"
     print(json.dumps(data, indent=2, ensure_ascii=not utf8, allow_nan=False))
 
 
+ProgressFor = Callable[[str], "Progress"]
+
+
 @contextmanager
-def progress_bars() -> Iterator[Callable[[str], Progress]]:
+def progress_bars() -> Iterator[ProgressFor]:
     """Show one progress bar per model on stderr (nothing is drawn where stderr is not a terminal)."""
-    from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 
     columns = (
         TextColumn("{task.description:>8}"),
@@ -89,19 +99,82 @@ def progress_bars() -> Iterator[Callable[[str], Progress]]:
         TextColumn("{task.completed:.0f}/{task.total:.0f} steps"),
         TimeRemainingColumn(),
     )
-    screen = console(stderr=True)
-    with Progress(*columns, console=screen, disable=not screen.is_terminal) as bars:
-        tasks: dict[str, TaskID] = {}
+    with _bars(columns) as bars:
+        yield _progress_for(bars, lambda _: 1.0)
+
+
+@contextmanager
+def time_bars(intervals: Mapping[str, float]) -> Iterator[ProgressFor]:
+    """Show one bar per model on stderr: simulated time, simulated over wall time, and the wall time that is left.
+
+    ``intervals``: the simulated time [s] of one unit of progress, by model. Until the first progress a bar says that
+    the run is being prepared.
+    """
+    from datetime import timedelta
+
+    from rich.progress import BarColumn, ProgressColumn, Task, TextColumn
+    from rich.text import Text
+
+    class Times(ProgressColumn):
+        def render(self, task: Task) -> Text:
+            if task.total is None:
+                return Text("preparing")
+            text = f"{task.completed:.3f} of {task.total:.3f} s simulated"
+            if speed := task.finished_speed or task.speed:
+                text += f", {quantity(speed, 's', 3)} per s"
+            if task.time_remaining:
+                text += f", {timedelta(seconds=round(task.time_remaining))} left"
+            return Text(text, no_wrap=True)
+
+    columns = (TextColumn("{task.description:>8}"), BarColumn(bar_width=12), Times())
+    with _bars(columns) as bars:
+        start = bars.add_task("start", total=None)
+        made = _progress_for(bars, intervals.__getitem__)
 
         def for_model(kind: str) -> Progress:
-            def advance(done: int, total: int) -> None:
-                if kind not in tasks:
-                    tasks[kind] = bars.add_task(kind, total=total)
-                bars.update(tasks[kind], completed=done, total=total)
+            advance = made(kind)
 
-            return advance  # type: ignore[return-value]
+            def go_on(done: int, total: int) -> None:
+                bars.update(start, visible=False)
+                advance(done, total)
 
-        yield for_model  # type: ignore[misc]
+            return go_on
+
+        yield for_model
+
+
+@contextmanager
+def working(what: str) -> Iterator[None]:
+    """Show on stderr that something is going on whose length is not known."""
+    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+
+    with _bars((TextColumn("{task.description:>8}"), BarColumn(), TimeElapsedColumn())) as bars:
+        bars.add_task(what, total=None)
+        yield
+
+
+def _bars(columns: Sequence[Any]) -> RichProgress:
+    from rich.progress import Progress as RichProgress
+
+    screen = console(stderr=True)
+    return RichProgress(*columns, console=screen, disable=not screen.is_terminal)
+
+
+def _progress_for(bars: RichProgress, unit_of: Callable[[str], float]) -> ProgressFor:
+    """Return what gives each model its progress callback; its bar appears with the first call."""
+    tasks: dict[str, TaskID] = {}
+
+    def for_model(kind: str) -> Progress:
+        unit = unit_of(kind)
+
+        def advance(done: int, total: int) -> None:
+            if kind not in tasks:
+                tasks[kind] = bars.add_task(kind, total=unit * total)
+            bars.update(tasks[kind], completed=unit * done, total=unit * total)
+
+        return advance
+
+    return for_model
 
 
 class _Steady(io.FileIO):
