@@ -6,10 +6,12 @@ instead; to the code it is the same: a `KeyboardInterrupt` at a place where one 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import signal
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from threading import Event
+from threading import Event, current_thread, main_thread
+from types import FrameType
 
 _STOP: ContextVar[Event | None] = ContextVar("stop", default=None)
 
@@ -29,3 +31,33 @@ def check_stop() -> None:
     event = _STOP.get()
     if event is not None and event.is_set():
         raise KeyboardInterrupt
+
+
+@contextmanager
+def stop_where_it_suits() -> Iterator[Callable[[], bool]]:
+    """Let the block choose where it stops: gives a function that says whether it is asked to.
+
+    Ctrl-C, SIGTERM and SIGHUP (in the main thread, where they are handled at all), and `stoppable`, then interrupt
+    nothing by themselves; a second signal does.
+    """
+    outer, asked = _STOP.get(), Event()
+    token = _STOP.set(None)
+    before: dict[int, Callable[[int, FrameType | None], object]] = {}
+
+    def ask(number: int, frame: FrameType | None) -> None:
+        if asked.is_set():
+            before[number](number, frame)
+        asked.set()
+
+    try:
+        if current_thread() is main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+                handler = signal.getsignal(number)
+                if callable(handler):
+                    before[number] = handler
+                    signal.signal(number, ask)
+        yield lambda: asked.is_set() or (outer is not None and outer.is_set())
+    finally:
+        for caught, handler in before.items():
+            signal.signal(caught, handler)
+        _STOP.reset(token)

@@ -21,6 +21,7 @@ from kncal.coupling.base import Dem, GasSetup, GasStep, GasTransport
 from kncal.coupling.interval import gas_interval
 from kncal.errors import ReadError, RunError
 from kncal.io.tables import read_json, write_json
+from kncal.stopping import stop_where_it_suits
 
 #: Momentum booked on particles and on the gas may differ by this share of the bed's weight: rounding only.
 REACTION_LIMIT = 1e-10
@@ -117,12 +118,13 @@ class CoupledRun:
         RunError
             If a solver ends, hangs, loses a particle or a parcel, or an invariant is broken; what was computed before
             is on disk.
-        TimeoutError
-            If ``time_limit`` [s] is over; the last checkpoint is kept.
+        TimeoutError, KeyboardInterrupt
+            If ``time_limit`` [s] is over, or it was asked to stop; it goes on from the last coupling, which is saved.
         """
         model, started, cpu = self.model, time.monotonic(), time.thread_time()
         saved = started
-        with SeriesWriter(self.folder / "series", bed_facts(model, self._edges)) as series:
+        facts = bed_facts(model, self._edges)
+        with stop_where_it_suits() as stop, SeriesWriter(self.folder / "series", facts) as series:
             x, v = self._state()
             if self._first == 0 and self.gas is None:
                 series.frame(0, x, v, None)  # with gas there are no fields before the first step
@@ -135,16 +137,17 @@ class CoupledRun:
                 series.add(number, inlet, gas_step, dem_step, x, v)
                 if number % model.frames_every == 0:
                     series.frame(number, x, v, None if self.gas is None else self.gas.fields())
+                if stop():
+                    self._keep(series, number)
+                    raise KeyboardInterrupt
                 if progress is not None:
                     progress(number, model.couplings)
                 now = time.monotonic()
                 if now - saved > CHECKPOINT_SECONDS:
-                    series.flush()
-                    self._checkpoint(number)
+                    self._keep(series, number)
                     saved = now
                 if time_limit is not None and now - started > time_limit:
-                    series.flush()
-                    self._checkpoint(number)
+                    self._keep(series, number)
                     raise TimeoutError(
                         f"stopped after coupling {number} of {model.couplings}: {time_limit:g} s are over"
                     )
@@ -178,8 +181,9 @@ class CoupledRun:
                 )
         return step
 
-    def _checkpoint(self, number: int) -> None:
+    def _keep(self, series: SeriesWriter, number: int) -> None:
         """Write the state after coupling ``number``; the old checkpoint goes only when the new one is whole."""
+        series.flush()
         new = self.folder / f"checkpoint-{number}"
         if new.exists():
             shutil.rmtree(new)

@@ -86,6 +86,40 @@ def test_a_run_killed_at_a_random_coupling_resumes(undisturbed, tmp_path: Path, 
         np.testing.assert_allclose(one, two, rtol=1e-6, atol=1e-7 * np.abs(two).max(), err_msg=name)
 
 
+def test_ctrl_c_loses_no_coupling(undisturbed, tmp_path: Path) -> None:
+    """Without any checkpoint in time, the run stops after a whole coupling, saves it, and goes on from there."""
+    case, out = tmp_path / "case.toml", tmp_path / "run"
+    case.write_text(dump_case(bed()), encoding="utf-8")
+    transport = "live" if find() is not None else "restart"
+    arguments = ["run", str(case), "--model", "linear", "--out", str(out), "--transport", transport]
+    command = ["env", "--default-signal=INT", sys.executable, "-m", "kncal", *arguments]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, process_group=0)
+    try:
+        deadline = time.monotonic() + 120.0
+        while not (out / "linear" / "series" / "facts.json").exists():
+            assert process.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        os.killpg(process.pid, signal.SIGINT)
+        _, err = process.communicate(timeout=60)
+    finally:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+    assert process.returncode == 130, err
+    state = run_state(out / "linear")
+    assert state.status == "interrupted"
+    stopped = _saved(out / "linear")
+    assert 1 <= stopped < len(undisturbed.t)
+    assert len(read_series(out / "linear" / "series").t) == stopped
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert f"goes on: it ended as interrupted; from coupling {stopped} of" in done.stderr
+    series = read_series(out / "linear" / "series")
+    np.testing.assert_array_equal(series.coupling, undisturbed.coupling)
+    np.testing.assert_allclose(series.z_mean, undisturbed.z_mean, rtol=1e-6)
+
+
 def _saved(folder: Path) -> int:
     """Couplings in the last checkpoint of a run that goes on."""
     try:
