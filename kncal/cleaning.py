@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from kncal.errors import ReadError, RenderError
+from kncal.folder import MANIFEST
 from kncal.lock import LOCK, locked
 from kncal.model import KINDS
 from kncal.states import find_run_folders, holder, run_state
@@ -36,7 +38,8 @@ class Removal:
 def plan_cleaning(root: Path) -> tuple[tuple[Removal, ...], tuple[str, ...]]:
     """Return what may go from the run folders in ``root``, and a sentence for each that is left alone.
 
-    Records, series, frames, logs and reports stay. A folder that a run holds is left alone.
+    Records, series, frames, reports and the logs beside them stay; the logs inside the working folders of a completed
+    bed (``gas``, ``particles``) go with these. A folder that a run holds is left alone, and so is what a link leads to.
 
     Raises
     ------
@@ -50,33 +53,76 @@ def plan_cleaning(root: Path) -> tuple[tuple[Removal, ...], tuple[str, ...]]:
     for out in find_run_folders(root):
         if owner := holder(out):
             left.append(f"{out}: left alone, in use by {owner}")
-            continue
-        found = [(path, "an earlier attempt") for path in sorted(out.glob("attempt-*"))]
-        for kind in KINDS:
-            if (out / kind / "series").is_dir() and run_state(out / kind).status == "completed":
-                found += [(path, "of a completed run") for name in _WORK for path in sorted((out / kind).glob(name))]
-        removals += [
-            Removal(path=path, owner=out, why=why, size=_size(path))
-            for path, why in found
-            if path.is_dir() and not path.is_symlink()
-        ]
+        elif out.is_symlink():
+            left.append(f"{out}: left alone, a link; name the folder that it leads to")
+        else:
+            found = _removable(out).items()
+            removals += [Removal(path=path, owner=out, why=why, size=_size(path)) for path, why in found]
     return tuple(removals), tuple(left)
 
 
 def clean(removals: Iterable[Removal]) -> tuple[int, tuple[str, ...]]:
-    """Remove what was planned; returns the bytes that were freed, and a sentence for each folder that is now in use."""
-    freed, left = 0, {}
+    """Remove what was planned and may still go; what has gone meanwhile is no error.
+
+    Returns the bytes that were freed, and a sentence for each folder that is left: now in use, needed again by a run
+    that began and stopped since the plan, or not to be removed.
+    """
+    planned: dict[Path, list[Removal]] = {}
     for removal in removals:
-        if removal.owner in left:
-            continue
+        planned.setdefault(removal.owner, []).append(removal)
+    freed, left = 0, []
+    for owner, group in planned.items():
+        if owner.is_symlink() or not owner.is_dir():
+            continue  # gone since, or no longer what was planned
         try:
-            with locked(removal.owner):  # a run may have started since
-                shutil.rmtree(removal.path)
-                freed += removal.size
+            with locked(owner):  # a run may have started since
+                size, kept = _remove(group, _removable(owner))
         except RenderError as error:
-            left[removal.owner] = str(error)
-    return freed, tuple(left.values())
+            left.append(str(error))
+        except OSError as error:
+            left.append(f"{owner}: left alone, its lock cannot be opened ({error.strerror or error})")
+        else:
+            freed += size
+            left += kept
+    return freed, tuple(left)
+
+
+def _remove(group: Iterable[Removal], removable: Mapping[Path, str]) -> tuple[int, list[str]]:
+    """Remove what is removable of one run folder, whose lock is held; return bytes freed, and why others are left."""
+    freed, needed, left = 0, set(), []
+    for removal in group:
+        path = removal.path
+        if path in removable:
+            try:
+                shutil.rmtree(path)
+            except OSError as error:
+                left.append(f"{error.filename or path}: cannot be removed ({error.strerror or error})")
+            else:
+                freed += removal.size
+        elif path.is_dir():
+            needed.add(path.parent)
+    left += [f"{folder}: left alone, it is not that of a completed run any more" for folder in sorted(needed)]
+    return freed, left
+
+
+def _removable(out: Path) -> dict[Path, str]:
+    """Return path -> why of each folder that may go from the run folder ``out``."""
+    found = dict.fromkeys(sorted(out.glob("attempt-*")), "an earlier attempt")
+    for folder in (out / kind for kind in KINDS):
+        if _completed_bed(folder):
+            found |= {path: "of a completed run" for name in _WORK for path in sorted(folder.glob(name))}
+    return {path: why for path, why in found.items() if path.is_dir() and not path.is_symlink()}
+
+
+def _completed_bed(folder: Path) -> bool:
+    if folder.is_symlink() or not (folder / "series").is_dir() or not (folder / MANIFEST).is_file():
+        return False
+    return run_state(folder).status == "completed"
 
 
 def _size(folder: Path) -> int:
-    return sum(path.lstat().st_size for path in folder.rglob("*") if path.name != LOCK)
+    size = 0
+    for path in folder.rglob("*"):
+        with suppress(FileNotFoundError):  # removed while this looks
+            size += path.lstat().st_size if path.name != LOCK else 0
+    return size

@@ -74,7 +74,7 @@ def examine() -> list[Finding]:
     slow: list[Callable[[], Finding]] = [_liggghts, _openfoam, _mpirun, _rendering, _slurm]
     with ThreadPoolExecutor(len(slow)) as pool:
         started = [pool.submit(look) for look in slow]
-        quick = [_python(), *_packages(), _dask()]
+        quick = [_python(), *_packages(), _dask(), _adapter()]
         asked = [future.result() for future in started]
     return [
         *quick,
@@ -89,6 +89,20 @@ def examine() -> list[Finding]:
 def solver_findings() -> tuple[Finding, Finding]:
     """Look for LIGGGHTS and OpenFOAM only."""
     return _liggghts(), _openfoam()
+
+
+def _adapter() -> Finding:
+    from kncal.coupling.adapter_build import AdapterError, find
+
+    hint = "optional; kncal adapter build (downloads 45 MB, needs a C++ compiler)"
+    needed_for = "coupled beds without starting the gas solver anew for each coupling"
+    try:
+        library = find()
+    except AdapterError as error:
+        return Finding(name="adapter", ok=False, found=str(error), needed_for=needed_for, hint=hint)
+    if library is None:
+        return Finding(name="adapter", ok=False, found="not built", needed_for=needed_for, hint=hint)
+    return Finding(name="adapter", ok=True, found=str(library), needed_for=needed_for)
 
 
 def _python() -> Finding:

@@ -16,10 +16,10 @@ import platform
 import shutil
 import socket
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
@@ -39,6 +39,7 @@ from kncal.scene import Scene
 MANIFEST, STARTED, RESULT, CASE, REPORT = "manifest.json", "started.json", "result.json", "case.toml", "report"
 #: What a bed run leaves for its numbers, as ``particles.dump`` of a single contact.
 SERIES = "series.csv"
+PIECES = "series"
 
 
 def sha256(path: Path) -> str:
@@ -48,10 +49,13 @@ def sha256(path: Path) -> str:
 
 
 @contextmanager
-def case_folder(scene: Scene | BedScene, out: Path, *, keep: bool = False) -> Iterator[int]:
+def case_folder(
+    scene: Scene | BedScene, out: Path, *, keep: bool = False, tell: Callable[[str], None] | None = None
+) -> Iterator[int]:
     """Make ``out`` ready for ``scene`` and hold it (see `kncal.lock`): gives the lock's descriptor for the solver.
 
-    What an earlier run left there is moved to ``attempt-N``; with ``keep`` only if it was another case.
+    What an earlier run left there is moved to ``attempt-N``; with ``keep`` only if it was another case. ``tell`` is
+    called with a sentence if so.
 
     Raises
     ------
@@ -67,11 +71,14 @@ def case_folder(scene: Scene | BedScene, out: Path, *, keep: bool = False) -> It
         _check_ours(out)
         sign(descriptor)
         if (out / MANIFEST).is_file():
-            if keep and _same_case(scene, out):
+            same = _same_case(scene, out)
+            if keep and same:
                 refuse_links(out)
                 yield descriptor
                 return
-            set_aside(out)
+            attempt = set_aside(out)
+            if tell:
+                tell(f"what {out} held{'' if same else ', of another case,'} is now in {attempt}")
         text = dump_case(scene).encode()
         digest = hashlib.sha256(text).hexdigest()
         # The manifest first: it says whose folder this is, should kncal be killed before the next line.
@@ -146,7 +153,8 @@ def model_manifest(
     ranks: int = 1,
 ) -> dict[str, Any]:
     """Return what ``manifest.json`` of one model's folder holds: what was rendered, for which solver, by whom."""
-    files = {p.name: sha256(p) for p in sorted(folder.iterdir()) if p.is_file() and p.name != MANIFEST}
+    found = (p for p in sorted(folder.rglob("*")) if p.is_file() and p.name != MANIFEST)
+    files = {p.relative_to(folder).as_posix(): sha256(p) for p in found}
     return {
         "kncal": __version__,
         "case": model.scene.name,
@@ -210,7 +218,8 @@ def write_result(result: RunResult) -> None:
     data |= {"folder": result.folder.name, "log": log}
     try:
         output = [path for name in (FRAMES, SERIES, log) if name and (path := result.folder / name).is_file()]
-        files = {path.name: sha256(path) for path in output}
+        output += sorted((result.folder / PIECES).glob("*"))
+        files = {path.relative_to(result.folder).as_posix(): sha256(path) for path in output}
         write_json(result.folder / RESULT, data | {"files_sha256": files, "ended": _now()})
     except OSError as error:
         raise RunError(f"{result.folder / RESULT}: cannot be written ({error.strerror or error})") from error
@@ -282,12 +291,19 @@ def _file_name(text: str) -> str:
     return text
 
 
+def _inside(text: str) -> str:
+    path = PurePosixPath(text)
+    if not text or path.is_absolute() or ".." in path.parts or text != path.as_posix():
+        raise ValueError("expected the path of a file inside the run's folder")
+    return text
+
+
 _Kind = Literal["linear", "hertz"]
 _Count = Annotated[int, Field(ge=0)]
 _Positive = Annotated[float, Field(gt=0.0)]
 _Seconds = Annotated[float, Field(ge=0.0)]
 _FileName = Annotated[str, AfterValidator(_file_name)]
-_Digests = dict[_FileName, Annotated[str, Field(pattern="^[0-9a-f]{64}$")]]
+_Digests = dict[Annotated[str, AfterValidator(_inside)], Annotated[str, Field(pattern="^[0-9a-f]{64}$")]]
 
 
 class _Record(BaseModel):

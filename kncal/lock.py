@@ -17,6 +17,7 @@ from pathlib import Path
 from kncal.errors import RenderError
 
 LOCK = ".lock"
+_INSTANT = 0.5  # s
 
 
 class FolderInUseError(RenderError):
@@ -38,7 +39,7 @@ def locked(out: Path) -> Iterator[int]:
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
     try:
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            _lock(descriptor)
         except BlockingIOError as error:
             owner = os.pread(descriptor, 300, 0).decode("utf-8", errors="replace").strip()
             raise FolderInUseError(
@@ -57,3 +58,17 @@ def sign(descriptor: int) -> None:
     started = time.strftime("%Y-%m-%dT%H:%M:%S%z")
     os.ftruncate(descriptor, 0)
     os.pwrite(descriptor, f"pid {os.getpid()} on {socket.gethostname()}, started {started}\n".encode(), 0)
+
+
+def _lock(descriptor: int) -> None:
+    """Take the lock; who only looks whether it is held (`kncal.states.holder`) holds it for an instant, too."""
+    deadline = time.monotonic() + _INSTANT
+    while True:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(0.01)
+        else:
+            return

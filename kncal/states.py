@@ -103,9 +103,12 @@ def case_states(out: Path) -> tuple[RunState, ...]:
 
 
 def find_run_folders(root: Path) -> Iterator[Path]:
-    """Find run folders of cases in ``root``, itself included; attempts and what links lead to are left out."""
+    """Find run folders of cases in ``root``, itself included; attempts and what links lead to are left out.
+
+    A folder whose only models are links is none.
+    """
     for path, folders, files in os.walk(root):
-        if MANIFEST in files and any(kind in folders for kind in KINDS):
+        if MANIFEST in files and any(kind in folders and not Path(path, kind).is_symlink() for kind in KINDS):
             yield Path(path)
             folders.clear()
         else:

@@ -57,6 +57,8 @@ def stop_where_it_suits() -> Iterator[Callable[[], bool]]:
                     before[number] = handler
                     signal.signal(number, ask)
         yield lambda: asked.is_set() or (outer is not None and outer.is_set())
+        if asked.is_set():  # after the block looked for the last time
+            raise KeyboardInterrupt
     finally:
         for caught, handler in before.items():
             signal.signal(caught, handler)

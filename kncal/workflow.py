@@ -71,13 +71,15 @@ def get_engine(name: str, *, ranks: int = 1, oversubscribe: bool = False) -> Eng
     return Liggghts(style, ranks=ranks, oversubscribe=oversubscribe)
 
 
-def render_case(scene: Scene, engine: Engine, out: Path, kinds: Iterable[str] = KINDS) -> Mapping[str, Model]:
+def render_case(
+    scene: Scene, engine: Engine, out: Path, kinds: Iterable[str] = KINDS, *, tell: Tell | None = None
+) -> Mapping[str, Model]:
     """Write the case folder: one subfolder with solver input per model, manifests, the case itself.
 
     Returns the models by kind. Whatever can be refused is refused before anything is written or moved; what an earlier
     run left in ``out`` is moved to ``attempt-N``.
     """
-    with _rendered(scene, engine, out, kinds, anew=True, repeat=1, tell=None) as (models, _, _):
+    with _rendered(scene, engine, out, kinds, anew=True, repeat=1, tell=tell) as (models, _, _):
         return models
 
 
@@ -94,7 +96,7 @@ def _rendered(
         for kind, model in models.items():
             (draft / kind).mkdir()
             engine.render(model, draft / kind)
-        with case_folder(scene, out, keep=not anew) as lock:
+        with case_folder(scene, out, keep=not anew, tell=tell) as lock:
             manifests = {
                 kind: model_manifest(
                     model,

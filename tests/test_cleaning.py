@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -70,6 +71,76 @@ def test_links_are_not_followed(twice: Path, tmp_path: Path) -> None:
     assert (precious / "thesis.txt").read_text() == "x"
 
 
+@pytest.fixture
+def worked(twice: Path) -> Path:
+    """A run folder whose model has, as a bed's has, a series and the folders in which solvers worked."""
+    for name in ("series", "gas", "particles"):
+        (twice / "linear" / name).mkdir()
+        (twice / "linear" / name / "log.solver").write_text("x")
+    return twice
+
+
+def test_working_folders_of_a_completed_run_go(worked: Path) -> None:
+    assert {r.path.name for r in plan_cleaning(worked)[0]} == {"attempt-1", "gas", "particles"}
+    assert clean(plan_cleaning(worked)[0])[1] == ()
+    assert not (worked / "linear" / "gas").exists()
+    assert (worked / "linear" / "series" / "log.solver").is_file()
+
+
+@pytest.mark.parametrize("link", ["model", "run"])
+def test_a_link_to_a_run_elsewhere_is_left_alone(worked: Path, tmp_path: Path, link: str) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    if link == "model":
+        shutil.move(worked / "linear", elsewhere)
+        (worked / "linear").symlink_to(elsewhere)
+        gas = elsewhere / "gas"
+    else:
+        shutil.move(worked, elsewhere)
+        worked.symlink_to(elsewhere)
+        gas = elsewhere / "linear" / "gas"
+    for root in (worked.parent, worked):
+        removals, _ = plan_cleaning(root)
+        assert not [r for r in removals if r.path.name == "gas"]
+        clean(removals)
+    assert (gas / "log.solver").is_file()
+
+
+def test_a_model_that_became_a_link_since_is_left_alone(worked: Path, tmp_path: Path) -> None:
+    removals, _ = plan_cleaning(worked)
+    shutil.move(worked / "linear", tmp_path / "elsewhere")
+    (worked / "linear").symlink_to(tmp_path / "elsewhere")
+    clean(removals)
+    assert (tmp_path / "elsewhere" / "gas").is_dir()
+
+
+@pytest.mark.parametrize("gone", ["attempt-1", "linear/gas", "linear", "."])
+def test_what_has_gone_since_is_no_error(worked: Path, gone: str) -> None:
+    removals, _ = plan_cleaning(worked)
+    sizes = {r.path: r.size for r in removals}
+    shutil.rmtree(worked / gone)
+    there = [path for path in sizes if path.exists()]
+    freed, left = clean(removals)
+    assert freed == sum(sizes[path] for path in there)
+    assert left == ()
+    assert not [path for path in sizes if path.exists()]
+
+
+@pytest.mark.parametrize("since", ["started", "interrupted"])
+def test_a_run_that_began_and_stopped_since_keeps_what_it_goes_on_from(worked: Path, since: str) -> None:
+    removals, _ = plan_cleaning(worked)
+    record = worked / "linear" / RESULT
+    if since == "started":  # and killed before its end
+        record.unlink()
+    else:
+        record.write_text(json.dumps(json.loads(record.read_text()) | {"status": "interrupted"}))
+    _, left = clean(removals)
+    assert (worked / "linear" / "gas").is_dir()
+    assert (worked / "linear" / "particles").is_dir()
+    assert not (worked / "attempt-1").exists()
+    assert len(left) == 1
+    assert str(worked / "linear") in left[0]
+
+
 def test_folders_that_are_not_kncals_are_not_touched(tmp_path: Path) -> None:
     (tmp_path / "attempt-1").mkdir()
     (tmp_path / "x" / "checkpoint-3").mkdir(parents=True)
@@ -99,6 +170,18 @@ def test_status_names_the_failure_and_the_remedy(twice: Path) -> None:
     assert ADVICE["lost-particles"] in text
     states = json.loads(kncal("status", twice.parent, "--json").stdout)
     assert [(s["model"], s["status"]) for s in states] == [("linear", "completed"), ("hertz", "failed")]
+
+
+def test_status_has_advice_for_a_failure_that_this_kncal_does_not_know(twice: Path) -> None:
+    """As from a later kncal, or by hand; and a failure without a name."""
+    for kind, failure in (("linear", "melted"), ("hertz", "")):
+        data = json.loads((twice / kind / RESULT).read_text())
+        data |= {"status": "failed", "failure": failure, "message": "it is gone"}
+        (twice / kind / RESULT).write_text(json.dumps(data))
+    done = kncal("status", twice.parent)
+    assert done.returncode == 0, done.stderr
+    assert "failed (melted)" in done.stdout
+    assert done.stdout.count("what to do: ") == 2
 
 
 def test_a_running_run_is_seen_with_its_owner(twice: Path) -> None:

@@ -43,3 +43,8 @@ def test_an_ignored_signal_stays_ignored() -> None:
             assert not stop()
     finally:
         signal.signal(signal.SIGHUP, before)
+
+
+def test_a_signal_after_the_last_look_is_not_forgotten() -> None:
+    with pytest.raises(KeyboardInterrupt), stop_where_it_suits():
+        os.kill(os.getpid(), signal.SIGINT)

@@ -124,7 +124,9 @@ def observe_bed(series: BedSeries, discard: float | None = None, gas: Gas | None
         found.rows(name, getattr(series, name), frozen)
     spectrum = found.attempt("dominant_frequency", lambda: pressure_spectrum(series, begin))
     if spectrum is not None:
-        found.keep("dominant_frequency", _dominant(series, begin, spectrum))
+        dominant = found.attempt("dominant_frequency", lambda: _dominant(series, begin, spectrum))
+        if dominant is not None:
+            found.keep("dominant_frequency", dominant)
     overlaps = found.attempt("overlap_max", lambda: overlap_statistics(series, begin))
     if overlaps is not None:
         found.keep("overlap_max", _largest(series.overlap_max[rows]))
@@ -276,7 +278,13 @@ def _largest(overlap_max: Array) -> Average:
 
 
 def _dominant(series: BedSeries, begin: float, spectrum: Spectrum) -> Average:
-    """Return the dominant frequency, uncertain by the resolution of the spectrum; reliable from ten periods on."""
+    """Return the dominant frequency, uncertain by the resolution of the spectrum; reliable from ten periods on.
+
+    Raises
+    ------
+    InputError
+        If no peak stands out.
+    """
     length = int(rows_from(series, begin).sum()) * series.facts.coupling
     periods = spectrum.dominant * length
     density = spectrum.density[1:]
@@ -284,7 +292,7 @@ def _dominant(series: BedSeries, begin: float, spectrum: Spectrum) -> Average:
     if periods < 10.0:
         doubts.append(f"only {periods:.0f} periods in {length:.3g} s, 10 are needed")
     if density.max() < _PEAK * np.median(density):
-        doubts.append("no peak stands out of the spectrum")
+        raise InputError("no peak stands out of the spectrum")
     return Average(
         mean=spectrum.dominant,
         uncertainty=spectrum.resolution,

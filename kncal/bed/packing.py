@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import json
 import math
 import os
 import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +21,7 @@ from kncal.bed.scene import BedScene
 from kncal.checks import Array, one_of
 from kncal.errors import InputError, ReadError, RunError
 from kncal.io.arrays import read_npz
+from kncal.stopping import check_stop
 
 PACKINGS = ("settled", "lattice", "given")
 #: Lattice spacing and the largest random offset on each axis, in diameters: 1.12 - 2 x 0.04 > 1, so none overlap.
@@ -111,11 +116,27 @@ def packing(model: BedModel, cache_dir: Path | None = None) -> Array:
         return _settle(model, start)
     cache_dir.mkdir(parents=True, exist_ok=True)
     path = cache_dir / f"{_key(model, start)}.npz"
-    if path.is_file():
-        return _load(path, scene.particles.count)
-    settled = _settle(model, start)
-    _store(path, settled)
-    return settled
+    with _only_one(path):  # many runs of a sweep may want the same packing at once
+        if path.is_file():
+            return _load(path, scene.particles.count)
+        settled = _settle(model, start)
+        _store(path, settled)
+        return settled
+
+
+@contextmanager
+def _only_one(path: Path) -> Iterator[None]:
+    """Hold the lock of a cached packing."""
+    with path.with_suffix(".lock").open("w") as lock:
+        while True:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                check_stop()
+                time.sleep(0.05)
+            else:
+                break
+        yield
 
 
 def _given(scene: BedScene) -> Array:
@@ -141,6 +162,7 @@ def _settle(model: BedModel, start: Array) -> Array:
     quiet, share = 0, math.inf
     with tempfile.TemporaryDirectory(prefix="kncal-packing-") as folder, LiggghtsDem(model, Path(folder), start) as dem:
         for _ in range(looks):
+            check_stop()
             dem.run(chunk, nothing)
             x, v = dem.state()
             share = float(0.5 * np.mean(np.sum(v * v, axis=1)) / (g * d))

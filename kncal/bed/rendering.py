@@ -7,17 +7,18 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from kncal.bed.model import BedModel
 from kncal.bed.scene import BedScene
 from kncal.bed.workflow import plan_checked, start_positions
 from kncal.checks import Array
+from kncal.coupling.checkpoint import GAS, PARTICLES
 from kncal.coupling.dem_deck import DATA, DECK, write_deck
 from kncal.coupling.gas_case import write_case
 from kncal.coupling.loop import gas_setup
-from kncal.engines.coupled import GAS, PARTICLES, Coupled
+from kncal.engines.coupled import Coupled
 from kncal.folder import case_folder, write_model_manifest
 from kncal.io.liggghts_log import END_MARKER
 from kncal.model import KINDS
@@ -29,7 +30,13 @@ ALLRUN, README = "Allrun", "README.txt"
 
 
 def render_bed(
-    scene: BedScene, out: Path, kinds: Iterable[str] = KINDS, *, ranks: int = 1, oversubscribe: bool = False
+    scene: BedScene,
+    out: Path,
+    kinds: Iterable[str] = KINDS,
+    *,
+    ranks: int = 1,
+    oversubscribe: bool = False,
+    tell: Callable[[str], None] | None = None,
 ) -> dict[str, BedModel]:
     """Write the case folder of a bed: per model ``particles/`` (LIGGGHTS), ``gas/`` (DPMFoam), README.txt, Allrun.
 
@@ -53,7 +60,7 @@ def render_bed(
         draft = Path(name)
         for kind, model in models.items():
             _write(model, draft / kind, positions, ranks, oversubscribe)
-        with case_folder(scene, out):
+        with case_folder(scene, out, tell=tell):
             for kind, model in models.items():
                 shutil.copytree(draft / kind, out / kind)
                 steps = model.couplings * model.steps_per_coupling

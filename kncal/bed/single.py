@@ -62,7 +62,7 @@ def final_velocity(series: BedSeries, gas: Gas | None) -> FinalVelocity:
     if tau > end:
         raise InputError(f"the run of {end:.3g} s is shorter than the relaxation time, {tau:.3g} s: run longer")
     last = series.t >= end - tau
-    touch = TOUCHES * facts.mass * 9.81
+    touch = TOUCHES * facts.mass * max(facts.gravity, 1.0)
     if np.any(np.abs(series.floor[last]) > touch) or np.any(np.abs(series.walls[last]) > touch):
         raise InputError(
             "the particle touches floor, wall or lid at the end: expected a higher column or a shorter run"

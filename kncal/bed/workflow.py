@@ -19,7 +19,10 @@ from kncal.bed.report import write_bed_report
 from kncal.bed.scene import BedScene
 from kncal.bed.series import read_series, write_series_csv
 from kncal.checks import Array, one_of, positive
-from kncal.coupling.loop import Progress, last_checkpoint
+from kncal.coupling.checkpoint import GAS, PARTICLES, last_checkpoint
+from kncal.coupling.dem_deck import write_deck
+from kncal.coupling.gas_case import write_case
+from kncal.coupling.loop import Progress, gas_setup
 from kncal.earlier import Tell, take_up
 from kncal.engines.base import Profile, RunResult
 from kncal.engines.coupled import Coupled, check_bed_ranks
@@ -115,13 +118,16 @@ def run_bed(
     positions = start_positions(scene)
     results: dict[str, RunResult] = {}
     try:
-        with case_folder(scene, out, keep=not anew):
+        with case_folder(scene, out, keep=not anew, tell=tell):
             manifests = _manifests(models, profile, positions, ranks)
             found = take_up(out, manifests, checkpoints=_checkpoints(out, models), tell=tell)
             for kind, model in models.items():
                 folder, earlier = out / kind, found[kind]
                 if earlier.result is not None:
                     results[kind] = earlier.result
+                    used = earlier.result.extra.get("transport")
+                    if tell and transport not in ("auto", used) and used != "none":
+                        tell(f"{kind}: that run used the {used} transport, which gives the same numbers")
                     continue
                 if earlier.action == "run":
                     folder.mkdir()
@@ -141,13 +147,14 @@ def run_bed(
 def _manifests(
     models: Mapping[str, BedModel], profile: Profile, positions: Array, ranks: int
 ) -> dict[str, dict[str, Any]]:
+    """Return the manifests of runs from ``positions``; what both solvers will read is hashed, before they read it."""
     with tempfile.TemporaryDirectory(prefix="kncal-") as name:
-        draft = Path(name)
-        np.save(draft / POSITIONS, positions, allow_pickle=False)
+        for kind, model in models.items():
+            _write_inputs(model, Path(name) / kind, positions)
         return {
             kind: model_manifest(
                 model,
-                draft,
+                Path(name) / kind,
                 profile,
                 [],
                 steps=model.couplings * model.steps_per_coupling,
@@ -158,11 +165,21 @@ def _manifests(
         }
 
 
+def _write_inputs(model: BedModel, folder: Path, positions: Array) -> None:
+    folder.mkdir()
+    np.save(folder / POSITIONS, positions, allow_pickle=False)
+    if model.contacts and not model.scene.particles.frozen:
+        (folder / PARTICLES).mkdir()
+        write_deck(model, folder / PARTICLES, positions)
+    if (setup := gas_setup(model)) is not None:
+        write_case(setup, folder / GAS, end_time=setup.step, write_interval=1)
+
+
 def _checkpoints(out: Path, models: Mapping[str, BedModel]) -> dict[str, str]:
     """Say where each unfinished model could go on."""
     found = {kind: last_checkpoint(out / kind) for kind in models}
     return {
-        kind: f"coupling {checkpoint[0]} of {models[kind].couplings}"
+        kind: f"coupling {checkpoint.coupling} of {models[kind].couplings}"
         for kind, checkpoint in found.items()
         if checkpoint is not None
     }

@@ -48,7 +48,7 @@ def render_bed(scene: BedScene, folder: Path, kinds: tuple[str, ...], ranks: int
     from kncal.bed.workflow import warnings_of
 
     with show.working("packing"):
-        models = render_models(scene, folder, kinds, ranks=ranks, oversubscribe=oversubscribe)
+        models = render_models(scene, folder, kinds, ranks=ranks, oversubscribe=oversubscribe, tell=show.note)
     for kind, m in models.items():
         show.say(
             f"{folder / kind}: {m.couplings} couplings of {show.quantity(m.coupling, 's')}, "

@@ -39,7 +39,9 @@ def kn(
     t_c: Annotated[float | None, Parameter(name="--t-c", help="duration [s] for contact_time")] = None,
     force: Annotated[float | None, Parameter(help="resting force [N] for static_load")] = None,
     factor: Annotated[float, Parameter(help="prefactor of youngs_modulus")] = 1.0,
-    steps_per_contact: Annotated[float, Parameter(help="N of the advised time steps")] = 50.0,
+    steps_per_contact: Annotated[
+        float | None, Parameter(help="N of the advised time steps; default: the case's, 50 without one")
+    ] = None,
     overrides: Set = None,
     json: Json = False,
 ) -> None:
@@ -65,7 +67,7 @@ def kn(
         _kn_case(case, overrides or (), options, steps_per_contact, json=json)
         return
     pair, v_0, e_n = flags.pair(), flags.speed(), flags.restitution()
-    data = _kn_data(pair, v_0, e_n, flags.law, flags.end, options, steps_per_contact)
+    data = _kn_data(pair, v_0, e_n, flags.law, flags.end, options, steps_per_contact or 50.0)
     own = _own(method, options)
     block = flags.matrix(method, own).liggghts()
     if json:
@@ -108,12 +110,13 @@ def _pairs(scene: Scene | BedScene) -> Iterator[_CasePair]:
         yield _CasePair(f"{a.name}–{b.name}", pair_of(a, b), e_n, v_0, k_n)
 
 
-def _kn_case(case: str, overrides: Sequence[str], options: dict[str, Any], steps: float, *, json: bool) -> None:
+def _kn_case(case: str, overrides: Sequence[str], options: dict[str, Any], n: float | None, *, json: bool) -> None:
     from kncal.case_file import load_case
 
     scene = load_case(case, overrides=overrides)
     contact = scene.contact
     merged = options | dict(contact.method_options)
+    steps = n or scene.run.steps_per_contact
     result: dict[str, dict[str, Any]] = {}
     for p in _pairs(scene):
         result[p.name] = {"methods": []}

@@ -50,9 +50,10 @@ def new(case: str, folder: Path) -> None:
     one_of("case", case, shipped_cases())
     if folder.exists():
         raise InputError(f"{folder}: exists already; expected a new folder, nothing was changed")
+    source = resource("cases") / case / "case.toml"
+    load_case(source, name=folder.resolve().name)  # a name that no case may have is refused before anything is made
     folder.mkdir(parents=True)
-    shutil.copyfile(resource("cases") / case / "case.toml", folder / "case.toml")
-    load_case(folder)
+    shutil.copyfile(source, folder / "case.toml")
     show.say(f"{folder / 'case.toml'} is yours to edit; then: kncal compare {folder}")
 
 

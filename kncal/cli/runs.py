@@ -87,7 +87,7 @@ def render(
         render_bed(scene, folder, _kinds(model), ranks, oversubscribe=oversubscribe)
         return
     solver = get_engine(engine, ranks=ranks, oversubscribe=oversubscribe)
-    models = render_case(scene, solver, folder, _kinds(model))
+    models = render_case(scene, solver, folder, _kinds(model), tell=show.note)
     for kind, m in models.items():
         show.say(
             f"{folder / kind}: {m.n_steps} steps of {show.quantity(m.dt, 's')} to t = {show.quantity(m.t_end, 's')}"

@@ -14,6 +14,8 @@ from kncal.errors import InputError
 if TYPE_CHECKING:
     from kncal.states import RunState
 
+#: What to do about a failure that has no name, or one that this kncal does not know.
+_ELSE = "its log may say more; the same command again"
 #: Runs that fit on one screen.
 _ROWS = 30
 
@@ -55,7 +57,9 @@ def clean(
     *,
     yes: Annotated[bool, Parameter(name="--yes", negative="", help="do not ask")] = False,
 ) -> None:
-    """Remove earlier attempts, and working files of completed runs; asks first, never touches a running case.
+    """Remove earlier attempts, and working files of completed beds; asks first, never touches a running case.
+
+    With the folders in which the solvers of a completed bed worked, their logs go.
 
     Parameters
     ----------
@@ -95,7 +99,10 @@ def _sweep(folder: Path, *, json: bool) -> None:
         return
     counts = ", ".join(f"{number} {name.replace('_', ' ')}" for name, number in found.counts.items())
     show.say(f"{folder}: sweep of {found.name}, {found.total} runs: {counts}")
-    show.say(f"run by {found.owner}" if found.owner else "nobody runs it; the same command again does what is missing")
+    if found.owner:
+        show.say(f"run by {found.owner}")
+    elif found.counts.get("completed", 0) < found.total:
+        show.say("nobody runs it; the same command again does what is missing")
     if found.failures:
         rows = [
             [name, str(number), ADVICE.get(name) or ADVICE.get(name.replace("-", "_"), "")]
@@ -150,4 +157,4 @@ def _print(folder: Path, states: list[RunState]) -> None:
     for state in shown:
         if state.message and state.status != "completed":
             show.say(f"{state.folder}: {state.message}")
-            show.say(f"  what to do: {ADVICE[state.failure or state.status]}")
+            show.say(f"  what to do: {ADVICE.get(state.failure or state.status, _ELSE)}")

@@ -6,10 +6,9 @@ particle, the particles run with that force held. Nothing here knows which trans
 
 from __future__ import annotations
 
-import shutil
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +17,9 @@ from kncal.bed.model import BedModel
 from kncal.bed.series import SeriesWriter, bed_facts
 from kncal.checks import Array
 from kncal.coupling.base import Dem, GasSetup, GasStep, GasTransport
+from kncal.coupling.checkpoint import write_checkpoint
 from kncal.coupling.interval import gas_interval
-from kncal.errors import ReadError, RunError
-from kncal.io.tables import read_json, write_json
+from kncal.errors import RunError
 from kncal.stopping import stop_where_it_suits
 
 #: Momentum booked on particles and on the gas may differ by this share of the bed's weight: rounding only.
@@ -40,7 +39,7 @@ class CoupledCost:
 
     Attributes
     ----------
-    couplings : done in this run
+    couplings : done, the parts before a stop included, as in all other numbers
     dem, gas, exchange : CPU seconds of LIGGGHTS, of DPMFoam, and of this process (everything else)
     wall : wall-clock seconds
     """
@@ -85,7 +84,7 @@ class CoupledRun:
     gas : GasTransport, or None for a bed without gas
     dem : Dem, or None for frozen particles
     positions : (n, 3) [m], of frozen particles; not used with ``dem``
-    first : number of couplings done already (continuing from a checkpoint)
+    first : number of couplings done already (continuing from a checkpoint); before : what they cost
     histogram_edges : (bins + 1,) [m]
     """
 
@@ -99,10 +98,12 @@ class CoupledRun:
         positions: Array,
         histogram_edges: Array,
         first: int = 0,
+        before: Mapping[str, float] | None = None,
     ) -> None:
         self.model, self.folder, self.gas, self.dem = model, folder, gas, dem
         self._frozen = (positions, np.zeros_like(positions))
         self._first = first
+        self._before = before or {}
         self._edges = histogram_edges
         particles = model.scene.particles
         self._diameter = np.full(particles.count, particles.diameter)
@@ -123,6 +124,17 @@ class CoupledRun:
         """
         model, started, cpu = self.model, time.monotonic(), time.thread_time()
         saved = started
+        before = self._before
+
+        def spent(number: int) -> CoupledCost:
+            return CoupledCost(
+                couplings=number,
+                dem=before.get("dem", 0.0) + (0.0 if self.dem is None else self.dem.cpu_seconds),
+                gas=before.get("gas", 0.0) + (0.0 if self.gas is None else self.gas.cpu_seconds),
+                exchange=before.get("exchange", 0.0) + time.thread_time() - cpu,
+                wall=before.get("wall", 0.0) + time.monotonic() - started,
+            )
+
         facts = bed_facts(model, self._edges)
         with stop_where_it_suits() as stop, SeriesWriter(self.folder / "series", facts) as series:
             x, v = self._state()
@@ -138,26 +150,20 @@ class CoupledRun:
                 if number % model.frames_every == 0:
                     series.frame(number, x, v, None if self.gas is None else self.gas.fields())
                 if stop():
-                    self._keep(series, number)
+                    self._keep(series, number, spent(number))
                     raise KeyboardInterrupt
                 if progress is not None:
                     progress(number, model.couplings)
                 now = time.monotonic()
                 if now - saved > CHECKPOINT_SECONDS:
-                    self._keep(series, number)
+                    self._keep(series, number, spent(number))
                     saved = now
-                if time_limit is not None and now - started > time_limit:
-                    self._keep(series, number)
+                if time_limit is not None and now - started > time_limit and number < model.couplings:
+                    self._keep(series, number, spent(number))
                     raise TimeoutError(
                         f"stopped after coupling {number} of {model.couplings}: {time_limit:g} s are over"
                     )
-        return CoupledCost(
-            couplings=model.couplings - self._first,
-            dem=0.0 if self.dem is None else self.dem.cpu_seconds,
-            gas=0.0 if self.gas is None else self.gas.cpu_seconds,
-            exchange=time.thread_time() - cpu,
-            wall=time.monotonic() - started,
-        )
+            return spent(model.couplings)
 
     def _state(self) -> tuple[Array, Array]:
         return self._frozen if self.dem is None else self.dem.state()
@@ -181,31 +187,13 @@ class CoupledRun:
                 )
         return step
 
-    def _keep(self, series: SeriesWriter, number: int) -> None:
-        """Write the state after coupling ``number``; the old checkpoint goes only when the new one is whole."""
+    def _keep(self, series: SeriesWriter, number: int, cost: CoupledCost) -> None:
+        """Write the state after coupling ``number``."""
         series.flush()
-        new = self.folder / f"checkpoint-{number}"
-        if new.exists():
-            shutil.rmtree(new)
-        new.mkdir(parents=True)
-        if self.gas is not None:
-            self.gas.save(new / "gas")
-        if self.dem is not None:
-            self.dem.save(new / "particles")
-        write_json(new / "checkpoint.json", {"coupling": number})
-        for old in self.folder.glob("checkpoint-*"):
-            if old != new:
-                shutil.rmtree(old)
-
-
-def last_checkpoint(folder: Path) -> tuple[int, Path] | None:
-    """Return (couplings done, folder) of the newest whole checkpoint of a run, None if there is none."""
-    found: list[tuple[int, Path]] = []
-    for path in folder.glob("checkpoint-*"):
-        if not (path / "checkpoint.json").is_file():
-            continue  # a run was stopped while it was being written
-        data = read_json(path / "checkpoint.json")
-        if not isinstance(data, dict) or not isinstance(data.get("coupling"), int):
-            raise ReadError(f"{path / 'checkpoint.json'}: expected a whole number 'coupling'")
-        found.append((data["coupling"], path))
-    return max(found, default=None)
+        write_checkpoint(
+            self.folder,
+            number,
+            asdict(cost),
+            None if self.gas is None else self.gas.save,
+            None if self.dem is None else self.dem.save,
+        )

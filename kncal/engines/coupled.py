@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import time
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -12,15 +13,15 @@ from kncal.bed.model import BedModel
 from kncal.bed.scene import BedScene
 from kncal.checks import Array, one_of
 from kncal.coupling.base import GasTransport
+from kncal.coupling.checkpoint import GAS, PARTICLES, last_checkpoint
 from kncal.coupling.decomposed import divisions as check_divisions
-from kncal.coupling.loop import CoupledCost, CoupledRun, Progress, gas_setup, last_checkpoint
+from kncal.coupling.loop import CoupledCost, CoupledRun, Progress, gas_setup
 from kncal.engines.base import Profile, RunResult
 from kncal.errors import InputError, KncalError, SolverMissingError, failure_of
 from kncal.mpi import MISSING as NO_MPIRUN
 from kncal.mpi import MPIRUN, check_ranks
 
 TRANSPORTS = ("auto", "live", "restart")
-GAS, PARTICLES = "gas", "particles"
 
 
 def choose_transport(wanted: str) -> tuple[str, Path | None]:
@@ -171,23 +172,33 @@ class Coupled:
 
         frozen = model.scene.particles.frozen or model.scene.particles.count == 0
         checkpoint = last_checkpoint(folder) if resume else None
-        first, state = (0, None) if checkpoint is None else checkpoint
+        first, state, before = (
+            (0, None, None)
+            if checkpoint is None
+            else (
+                checkpoint.coupling,
+                checkpoint.path,
+                checkpoint.cost,
+            )
+        )
         for name in (GAS, PARTICLES):
             _set_aside(folder / name)
-        gas = dem = None
-        try:
-            if (gas := self._gas(model, folder)) is not None and state is not None:
-                gas.load(state / GAS)
+        dem = None
+        with ExitStack() as sides:  # each is closed, whatever closing the other says
+            if (gas := self._gas(model, folder)) is not None:
+                sides.callback(gas.close)
+                if state is not None:
+                    gas.load(state / GAS)
             if not frozen:
                 at = None if state is None else state / PARTICLES
                 dem = LiggghtsDem(model, folder / PARTICLES, None if at else positions, restart=at)
+                sides.callback(dem.close)
             edges = histogram_edges(model.scene.particles.diameter)
-            run = CoupledRun(model, folder, gas, dem, positions=positions, histogram_edges=edges, first=first)
+            run = CoupledRun(
+                model, folder, gas, dem, positions=positions, histogram_edges=edges, first=first, before=before
+            )
             return run.run(progress, time_limit=timeout)
-        finally:
-            for side in (gas, dem):
-                if side is not None:
-                    side.close()
+        raise AssertionError("not reached: closing never hides an error")
 
     def _gas(self, model: BedModel, folder: Path) -> GasTransport | None:
         setup = gas_setup(model)

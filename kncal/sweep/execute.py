@@ -8,23 +8,26 @@ from __future__ import annotations
 
 import errno
 import time
+from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from threading import Event, Lock
 from typing import Any, Protocol
 
+from kncal import __version__
 from kncal.bed.scene import BedScene
 from kncal.case_file import CASE
 from kncal.checks import one_of
-from kncal.errors import CaseFileError, InputError, KncalError, ReadError, SolverMissingError
-from kncal.folder import read_result
+from kncal.engines.base import Profile
+from kncal.errors import CaseFileError, InputError, KncalError, ReadError, RunError, SolverMissingError, failure_of
+from kncal.folder import MANIFEST, read_result, sha256
 from kncal.lock import FolderInUseError
 from kncal.mpi import check_fit
 from kncal.scene import Scene
 from kncal.stopping import check_stop, stoppable
 from kncal.sweep.design import Sweep, identity, read_design, run_folder, scene_of
 from kncal.sweep.rows import Row, ended_rows, failed_rows
-from kncal.sweep.states import read_state, stamps_of
+from kncal.sweep.states import UNREADABLE, read_quickly, read_state, stamps_of
 
 #: A folder that is still taken when its run starts (by a solver that is just ending) is waited for so long [s].
 PATIENCE = 15.0
@@ -107,7 +110,7 @@ class ThreadExecutor:
 def execute_run(folder: Path, run: str, stop: Event | None = None) -> Record:
     """Run one run of the sweep in ``folder`` and return what became of it, as plain data.
 
-    A run that has its results already is not run again. Nothing is raised: an error is this run's failure.
+    A model that has its result already is not run again. Nothing is raised: an error is this run's failure.
     ``stop``, once set, ends the run as Ctrl-C would.
     """
     folder = Path(folder)
@@ -118,8 +121,7 @@ def execute_run(folder: Path, run: str, stop: Event | None = None) -> Record:
     try:
         with stoppable(stop):
             scene = scene_of(folder, sweep, run)
-            if not finished(sweep, folder, run):
-                _run(sweep, scene, run_folder(folder, run))
+            _run(sweep, scene, run_folder(folder, run))
         return ended(sweep, folder, run)
     except KeyboardInterrupt:
         failure = ("interrupted", "interrupted", "stopped by the user before its solver started")
@@ -148,17 +150,42 @@ def failed(sweep: Sweep, folder: Path, run: str, status: str, failure: str, mess
     return {"id": run, "status": status, "class": failure, "message": message, "stamps": stamps, "rows": rows}
 
 
-def finished(sweep: Sweep, folder: Path, run: str) -> bool:
-    """Return whether a run has valid results of all its models: completed, of these inputs, with its files intact."""
+def present(sweep: Sweep, profile: Profile | None) -> dict[str, Any]:
+    """Return what the manifests of a sweep's runs must say, if they are of this kncal and of the solver here.
+
+    ``profile`` is that of the sweep's engine; None if the runs are done elsewhere, by whatever solver is there.
+    """
+    wanted: dict[str, Any] = {"kncal": __version__, "engine": sweep.engine, "ranks": sweep.ranks}
+    if profile is not None:
+        digest = sha256(profile.program) if profile.program else ""
+        wanted["solver"] = {"version": profile.version, "sha256": digest}
+    return wanted
+
+
+def finished(sweep: Sweep, folder: Path, run: str, wanted: Mapping[str, Any]) -> bool:
+    """Return whether a run has valid results of all its models: completed, of these inputs, with its files intact.
+
+    ``wanted`` is from `present`. It is what `kncal.earlier.look_back` asks for, but without rendering: the case, the
+    engine and the version of kncal give the solver's input.
+    """
     out = run_folder(folder, run)
     if len(stamps_of(sweep, out)) < len(sweep.models):
         return False
     try:
         if identity(sweep, (out / CASE).read_text(encoding="utf-8")) != run:
             return False
+        if not all(_holds(wanted, read_quickly(f"{out}/{kind}/{MANIFEST}")) for kind in sweep.models):
+            return False
         return all(read_result(out / kind).status == "completed" for kind in sweep.models)
-    except (ReadError, OSError, UnicodeDecodeError):
+    except UNREADABLE:  # ReadError is a ValueError
         return False
+
+
+def _holds(wanted: Mapping[str, Any], found: Mapping[str, Any]) -> bool:
+    return all(
+        _holds(value, found[key]) if isinstance(value, Mapping) else found[key] == value
+        for key, value in wanted.items()
+    )
 
 
 def _run(sweep: Sweep, scene: Scene | BedScene, out: Path) -> None:
@@ -228,6 +255,8 @@ _CLASSES: tuple[tuple[type[Exception], str, str], ...] = (
 def _failure(error: Exception) -> tuple[str, str, str]:
     """Return status, class and message of an error."""
     status, failure = next((status, name) for kind, status, name in _CLASSES if isinstance(error, kind))
+    if isinstance(error, RunError) and failure == "run-failed":
+        failure = failure_of(error)
     text = str(error) or type(error).__name__
     if failure == "internal-error":
         text = f"{type(error).__name__}: {text}"

@@ -1,6 +1,7 @@
 """The rows of one run in the table of a sweep: how each model ended, its numbers, and linear against Hertz.
 
-What a completed run's numbers are is kept in ``row.json`` in its folder, tied to its results by their SHA-256.
+What a completed run's numbers are is kept in ``row.json`` in its folder, tied to its results by their SHA-256 and to
+the version of kncal that made them.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from kncal import __version__
 from kncal.engines.base import RunResult
 from kncal.errors import KncalError, ReadError
 from kncal.folder import RESULT, read_result
@@ -47,9 +49,8 @@ def ended_rows(sweep: Sweep, folder: Path, run: str) -> list[Row]:
         return kept
     results = {kind: read_result(out / kind) for kind in digests}
     rows = [_row(run, kind, results.get(kind)) for kind in sweep.models]
-    if all(row["status"] == "completed" for row in rows):
-        _add_numbers(sweep, out, rows)
-    _keep(out, digests, rows)
+    if not all(row["status"] == "completed" for row in rows) or _add_numbers(sweep, out, rows):
+        _keep(out, digests, rows)
     return rows
 
 
@@ -75,14 +76,16 @@ def _row(run: str, kind: str, result: RunResult | None) -> Row:
     }
 
 
-def _add_numbers(sweep: Sweep, out: Path, rows: list[Row]) -> None:
-    """Add metrics and comparison; where they cannot be had, the message says why."""
+def _add_numbers(sweep: Sweep, out: Path, rows: list[Row]) -> bool:
+    """Add metrics and comparison; where they cannot be had, the message says why and False is returned."""
     by_kind = {row["model"]: row for row in rows}
     try:
         (_bed_numbers if sweep.bed else _contact_numbers)(out, by_kind)
     except KncalError as error:
         for row in rows:
             row["message"] = f"no numbers: {error}"
+        return False
+    return True
 
 
 def _contact_numbers(out: Path, rows: Mapping[str, Row]) -> None:
@@ -140,11 +143,12 @@ def _digests(sweep: Sweep, out: Path) -> dict[str, str]:
 
 
 def _kept(out: Path, digests: Mapping[str, str]) -> list[Row] | None:
-    """Return the rows kept in the run's folder, None if there are none of these very results."""
+    """Return the rows that this kncal kept in the run's folder, None if there are none of these very results."""
     try:
         found = json.loads((out / ROW).read_bytes())
         rows = found["rows"]
-        return rows if found["results"] == digests and isinstance(rows, list) else None
+        ours = found["kncal"] == __version__ and found["results"] == digests
+        return rows if ours and isinstance(rows, list) else None
     except (OSError, ValueError, KeyError, TypeError):
         return None  # made anew from the results
 
@@ -153,5 +157,5 @@ def _keep(out: Path, digests: Mapping[str, str], rows: list[Row]) -> None:
     """Keep the rows beside the results. Not brought to the disk: a lost or torn file is made again."""
     part = out / f".{ROW}.{os.getpid()}.part"
     with contextlib.suppress(OSError):  # read-only or full: the rows are made anew each time
-        part.write_text(json.dumps({"results": digests, "rows": rows}), encoding="utf-8")
+        part.write_text(json.dumps({"kncal": __version__, "results": digests, "rows": rows}), encoding="utf-8")
         part.replace(out / ROW)

@@ -11,13 +11,15 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
+from typing import Any
 
 from kncal import __version__
 from kncal.case_file import CASE
+from kncal.engines.base import Profile
 from kncal.errors import InputError, InterruptedRunError, ReadError, SolverMissingError
 from kncal.lock import LOCK, locked, sign
 from kncal.sweep.design import DESIGN, RUNS, Sweep, read_design, run_folder, write_design
-from kncal.sweep.execute import Executor, Record, ThreadExecutor, ended, finished
+from kncal.sweep.execute import Executor, Record, ThreadExecutor, ended, finished, present
 from kncal.sweep.rows import Row
 from kncal.sweep.states import StatesFile
 from kncal.sweep.table import frame, write_table
@@ -82,6 +84,8 @@ def run_sweep(
 
     Runs of an earlier design in the same folder stay; those that this one shares with it are not run again. An
     unfinished run starts anew (what it left moves to its ``attempt-N``); a bed's goes on from its last checkpoint.
+    Results of another version of kncal or of the solver count as none (runs elsewhere: of kncal alone, as the solver
+    there is not known here).
 
     Parameters
     ----------
@@ -106,12 +110,12 @@ def run_sweep(
     """
     executor = ThreadExecutor(ranks=sweep.ranks, oversubscribe=sweep.oversubscribe) if executor is None else executor
     try:
-        if not getattr(executor, "elsewhere", False):  # other machines have solvers of their own
-            _check_solver(sweep)
+        # other machines have solvers of their own
+        profile = None if getattr(executor, "elsewhere", False) else _solver(sweep)
         with _sweep_folder(folder):
             _tell_version(folder)
             write_design(folder, sweep, case_text)
-            return _Session(sweep, folder, executor, on_progress).run()
+            return _Session(sweep, folder, executor, on_progress, present(sweep, profile)).run()
     finally:
         executor.close()
 
@@ -127,10 +131,11 @@ def prepare_sweep(sweep: Sweep, case_text: str, folder: Path) -> list[str]:
     with _sweep_folder(folder):
         _tell_version(folder)
         write_design(folder, sweep, case_text)
-        return [run for run in sweep.runs if not finished(sweep, folder, run)]
+        wanted = present(sweep, None)  # the solver is that of the machines that will run them
+        return [run for run in sweep.runs if not finished(sweep, folder, run, wanted)]
 
 
-def _check_solver(sweep: Sweep) -> None:
+def _solver(sweep: Sweep) -> Profile:
     if sweep.bed:
         from kncal.engines.coupled import Coupled
 
@@ -141,6 +146,7 @@ def _check_solver(sweep: Sweep) -> None:
         profile = get_engine(sweep.engine, ranks=sweep.ranks, oversubscribe=sweep.oversubscribe).profile()
     if profile.program is None:
         raise SolverMissingError(profile.problem)
+    return profile
 
 
 @contextmanager
@@ -175,14 +181,24 @@ def _tell_version(folder: Path) -> None:
         return  # a new sweep, or a design that is replaced now
     if before != __version__:
         logging.getLogger("kncal").warning(
-            "kncal: results that kncal %s completed here are kept; this is kncal %s", before, __version__
+            "kncal: results of kncal %s here are made anew by kncal %s; the old ones stay in attempt-N",
+            before,
+            __version__,
         )
 
 
 class _Session:
     """One start of a sweep."""
 
-    def __init__(self, sweep: Sweep, folder: Path, executor: Executor, on_progress: OnProgress | None) -> None:
+    def __init__(
+        self,
+        sweep: Sweep,
+        folder: Path,
+        executor: Executor,
+        on_progress: OnProgress | None,
+        wanted: Mapping[str, Any],
+    ) -> None:
+        self._wanted = wanted
         self._sweep, self._folder, self._executor, self._tell = sweep, folder, executor, on_progress
         self._records: dict[str, Record] = {}
         self._rows: dict[str, list[Row]] = {}
@@ -211,7 +227,9 @@ class _Session:
 
     def _keep(self, run: str) -> bool:
         """Take over a run that has its results already."""
-        if not run_folder(self._folder, run).is_dir() or not finished(self._sweep, self._folder, run):
+        if not run_folder(self._folder, run).is_dir():
+            return False
+        if not finished(self._sweep, self._folder, run, self._wanted):
             return False
         self._take(ended(self._sweep, self._folder, run))
         self._progress()

@@ -21,6 +21,7 @@ from kncal.bed.series import BedSeries, read_series
 from kncal.bed.workflow import load_bed_run, plan_checked, run_bed
 from kncal.case_file import dump_case, load_case
 from kncal.coupling.adapter_build import find
+from kncal.coupling.checkpoint import last_checkpoint
 from kncal.engines.coupled import Coupled
 from kncal.errors import CaseFileError
 
@@ -87,6 +88,7 @@ def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(whole, tmp_path, m
     results = run_bed(scene, out, ("linear",), transport="restart", tell=said.append)
     assert results["linear"].status == "completed"
     assert f"goes on: it ended as timed out; from coupling {stopped} of" in said[0]
+    assert results["linear"].extra["couplings"] == plan_bed(scene)["linear"].couplings  # of both parts, as the cost is
     one, two = (numbers(read_series(folder / "linear" / "series")) for folder in (out, whole))
     # Saving sums forces in another order, a relative 1e-16 per step, which contacts amplify.
     scale = np.abs(two).max(axis=1, keepdims=True)
@@ -105,6 +107,35 @@ def test_a_completed_bed_is_not_run_again_and_another_case_is_not_mixed_with_it(
     run_bed(mini(0.0015), out, ("linear",), transport="restart")
     assert len(read_series(out / "attempt-1" / "linear" / "series").t) > len(read_series(out / "linear" / "series").t)
     assert not (out / "hertz").exists()
+
+
+def test_a_completed_bed_whose_series_was_damaged_runs_anew(whole, tmp_path):
+    out = tmp_path / "copy"
+    shutil.copytree(whole, out)
+    piece = next((out / "linear" / "series").glob("piece-*.npz"))
+    piece.write_bytes(piece.read_bytes()[:-10])
+    said: list[str] = []
+    run_bed(mini(0.01), out, ("linear",), transport="restart", tell=said.append)
+    assert said[0].startswith("linear runs anew")
+    assert "changed since the run ended" in said[0]
+    assert np.array_equal(
+        numbers(read_series(out / "linear" / "series")), numbers(read_series(whole / "linear" / "series"))
+    )
+
+
+@pytest.mark.parametrize("damage", ["gas/p", "particles/particles.restart", "checkpoint.json"])
+def test_a_checkpoint_that_a_power_cut_left_in_pieces_is_not_gone_on_with(tmp_path, damage):
+    scene, out = mini(0.01), tmp_path / "run"
+    assert run_bed(scene, out, ("linear",), transport="restart", timeout=0.5)["linear"].status == "timed_out"
+    checkpoint = last_checkpoint(out / "linear")
+    assert checkpoint is not None
+    assert checkpoint.cost["couplings"] == checkpoint.coupling
+    (checkpoint.path / damage).write_bytes(b"")
+    assert last_checkpoint(out / "linear") is None
+    said: list[str] = []
+    result = run_bed(scene, out, ("linear",), transport="auto", tell=said.append)["linear"]
+    assert result.status == "completed"
+    assert said[0].startswith("linear runs anew")
 
 
 def test_impossible_beds_are_refused_before_anything_is_written(tmp_path):

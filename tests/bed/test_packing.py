@@ -116,13 +116,13 @@ def _between(z: float, low: float, high: float) -> float:
 def test_packings_are_kept_by_their_inputs(tmp_path: Path) -> None:
     bed = scene(60, contact=ContactChoice(e_n=0.5, friction=0.3))
     first = packing(model(bed), tmp_path)
-    (file,) = tmp_path.iterdir()
+    (file,) = tmp_path.glob("*.npz")
     stamp = file.stat().st_mtime_ns
     assert np.array_equal(packing(model(bed), tmp_path), first)
-    assert [p.stat().st_mtime_ns for p in tmp_path.iterdir()] == [stamp]
+    assert [p.stat().st_mtime_ns for p in tmp_path.glob("*.npz")] == [stamp]
     packing(model(bed, k_n=150.0), tmp_path)
     packing(model(replace(bed, particles=replace(bed.particles, seed=7))), tmp_path)
-    assert len(list(tmp_path.iterdir())) == 3
+    assert len(list(tmp_path.glob("*.npz"))) == 3
     file.write_bytes(file.read_bytes()[:-200])
     with pytest.raises(ReadError, match="delete it"):
         packing(model(bed), tmp_path)

@@ -18,8 +18,7 @@ from kncal.bed.series import read_series
 from kncal.bed.workflow import run_bed
 from kncal.case_file import dump_case, load_case
 from kncal.coupling.adapter_build import find
-from kncal.coupling.loop import last_checkpoint
-from kncal.errors import ReadError
+from kncal.coupling.checkpoint import last_checkpoint
 from kncal.states import run_state
 
 pytestmark = pytest.mark.solver
@@ -122,11 +121,8 @@ def test_ctrl_c_loses_no_coupling(undisturbed, tmp_path: Path) -> None:
 
 def _saved(folder: Path) -> int:
     """Couplings in the last checkpoint of a run that goes on."""
-    try:
-        found = last_checkpoint(folder)
-    except ReadError:  # replaced by a newer one while it was being read
-        return 0
-    return 0 if found is None else found[0]
+    found = last_checkpoint(folder)
+    return 0 if found is None else found.coupling
 
 
 def _using(folder: Path) -> list[str]:

@@ -14,7 +14,8 @@ import pandas as pd
 import pytest
 
 import kncal.sweep.execute
-from kncal.errors import InputError, ReadError
+import kncal.sweep.rows
+from kncal.errors import InputError, ReadError, RunError
 from kncal.lock import locked, sign
 from kncal.sweep import (
     Settings,
@@ -111,7 +112,7 @@ def test_a_wider_sweep_runs_only_what_is_new(case: Path, folder: Path) -> None:
     assert set(read_sweep(folder)["contact.v_0"]) == {2.0}
 
 
-@pytest.mark.parametrize("damage", ["result", "frames", "record", "status", "case", "folder"])
+@pytest.mark.parametrize("damage", ["result", "frames", "record", "status", "case", "manifest", "folder"])
 def test_a_damaged_run_is_run_again_and_no_other(case: Path, folder: Path, damage: str) -> None:
     before = results(folder)
     run = next(iter(read_design(folder).runs))
@@ -126,6 +127,8 @@ def test_a_damaged_run_is_run_again_and_no_other(case: Path, folder: Path, damag
     elif damage == "status":
         text = (hertz / "result.json").read_text()
         (hertz / "result.json").write_text(text.replace('"completed"', '"interrupted"'))
+    elif damage == "manifest":
+        (hertz / "manifest.json").write_text("[5]")
     elif damage == "case":
         (out / "case.toml").write_text((out / "case.toml").read_text().replace("e_n = 0.9", "e_n = 0.8"))
     else:
@@ -141,6 +144,40 @@ def test_a_damaged_run_is_run_again_and_no_other(case: Path, folder: Path, damag
     assert (out / "attempt-1").is_dir() is (damage != "folder")
 
 
+@pytest.mark.parametrize("part", ["kncal", "engine", "ranks", "version", "sha256"])
+def test_results_of_another_kncal_solver_or_number_of_ranks_are_made_anew(case: Path, folder: Path, part: str) -> None:
+    """What `kncal run` would not take for this run's result, a sweep does not keep either."""
+    before = results(folder)
+    run = next(iter(read_design(folder).runs))
+    manifest = folder / "runs" / run / "hertz" / "manifest.json"
+    data = json.loads(manifest.read_text())
+    was = json.loads(manifest.read_text())
+    if part in data["solver"]:
+        data["solver"][part] = "0" * 64
+    else:
+        data[part] = 2 if part == "ranks" else "liggghts" if part == "engine" else "0.0.1"
+    manifest.write_text(json.dumps(data))
+    again = swept(case, folder)
+    assert (again.completed, again.kept) == (4, 3)
+    assert {name for name, text in results(folder).items() if before[name] != text} == {
+        f"runs/{run}/hertz/result.json"  # the linear one is still good
+    }
+    mended = json.loads(manifest.read_text())
+    assert {key: mended[key] for key in ("kncal", "engine", "solver", "ranks")} == {
+        key: was[key] for key in ("kncal", "engine", "solver", "ranks")
+    }
+
+
+def test_the_solver_is_asked_once_for_all_runs_that_are_kept(case: Path, folder: Path, monkeypatch) -> None:
+    from kncal.engines.builtin import Builtin
+
+    asked = []
+    true_profile = Builtin.profile
+    monkeypatch.setattr(Builtin, "profile", lambda self: asked.append(1) or true_profile(self))
+    assert swept(case, folder).kept == 4
+    assert len(asked) == 1
+
+
 @pytest.mark.parametrize(
     ("error", "failure"),
     [
@@ -148,6 +185,7 @@ def test_a_damaged_run_is_run_again_and_no_other(case: Path, folder: Path, damag
         (OSError(28, "No space left on device"), "disk-full"),
         (MemoryError(), "out-of-memory"),
         (RecursionError("deep"), "internal-error"),
+        (RunError("two left the box", "lost-particles"), "lost-particles"),
     ],
 )
 def test_an_error_in_one_run_is_the_failure_of_that_run(
@@ -313,6 +351,31 @@ def test_the_table_is_made_from_the_results_where_its_cache_is_gone_or_wrong(fol
             kept["results"] = dict.fromkeys(kept["results"], "0" * 64)
             kept["rows"][0]["e_n"] = 7.0
             path.write_text(json.dumps(kept))
+    pd.testing.assert_frame_equal(read_sweep(folder), before)
+
+
+def test_numbers_that_could_not_be_had_are_looked_for_again(case: Path, folder: Path, monkeypatch) -> None:
+    before = read_sweep(folder)
+    for path in folder.glob("runs/*/row.json"):
+        path.unlink()
+
+    def fail(*_):
+        raise ReadError("no memory of it")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(kncal.sweep.rows, "_contact_numbers", fail)
+        assert set(read_sweep(folder)["message"]) == {"no numbers: no memory of it"}
+    pd.testing.assert_frame_equal(read_sweep(folder), before)
+
+
+def test_rows_that_another_kncal_kept_are_made_anew(folder: Path, monkeypatch) -> None:
+    before = read_sweep(folder)
+    for path in folder.glob("runs/*/row.json"):
+        kept = json.loads(path.read_text())
+        kept["rows"][0]["e_n"] = 7.0
+        path.write_text(json.dumps(kept))
+    assert (read_sweep(folder)["e_n"] == 7.0).sum() == 4  # they are what is read, so:
+    monkeypatch.setattr(kncal.sweep.rows, "__version__", "99.0")
     pd.testing.assert_frame_equal(read_sweep(folder), before)
 
 
