@@ -294,7 +294,7 @@ def _file_name(text: str) -> str:
 def _inside(text: str) -> str:
     path = PurePosixPath(text)
     if not text or path.is_absolute() or ".." in path.parts or text != path.as_posix():
-        raise ValueError("expected the path of a file inside the run's folder")
+        raise ValueError("expected the path and name of a file inside the run's folder")
     return text
 
 

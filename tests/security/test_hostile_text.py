@@ -244,8 +244,13 @@ def test_links_on_output_are_not_followed(tmp_path: Path) -> None:
     assert not list(target.iterdir())
 
 
-@pytest.mark.parametrize("key", ["log", "files_sha256"])
-@pytest.mark.parametrize("name", ["../secret", "/etc/passwd", "a/b"])
+@pytest.mark.parametrize(
+    ("key", "name"),
+    [
+        *(("log", name) for name in ("../secret", "/etc/passwd", "a/b")),
+        *(("files_sha256", name) for name in ("../secret", "/etc/passwd", "series/../../secret", "series//etc", "./a")),
+    ],
+)
 def test_a_record_names_no_file_outside_its_folder(tmp_path: Path, key: str, name: str) -> None:
     from kncal.folder import read_result
 
