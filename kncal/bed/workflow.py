@@ -118,7 +118,7 @@ def run_bed(
     positions = start_positions(scene)
     results: dict[str, RunResult] = {}
     try:
-        with case_folder(scene, out, keep=not anew, tell=tell):
+        with case_folder(scene, out, keep=not anew, tell=tell) as lock:
             manifests = _manifests(models, profile, positions, ranks)
             found = take_up(out, manifests, checkpoints=_checkpoints(out, models), tell=tell)
             for kind, model in models.items():
@@ -136,7 +136,7 @@ def run_bed(
                 write_started(folder)
                 progress = progress_for(kind) if progress_for else None
                 resume = earlier.action == "go on"
-                results[kind] = _run(engine, model, folder, positions, timeout, progress, resume=resume)
+                results[kind] = _run(engine, model, folder, positions, timeout, progress, resume=resume, lock=lock)
                 if results[kind].status != "completed":
                     break
     except OSError as error:
@@ -245,8 +245,9 @@ def _run(
     progress: Progress | None,
     *,
     resume: bool,
+    lock: int,
 ) -> RunResult:
-    result = engine.run(model, folder, positions, timeout=timeout, progress=progress, resume=resume)
+    result = engine.run(model, folder, positions, timeout=timeout, progress=progress, resume=resume, pass_fds=(lock,))
     if result.status == "completed":
         write_series_csv(folder / SERIES, read_series(folder / "series"))
     write_result(result)

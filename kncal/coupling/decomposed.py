@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -86,6 +86,7 @@ def run_in_folder(
     time_limit: float,
     oversubscribe: bool,
     error: Callable[[str, ProcessResult, Path], RunError],
+    pass_fds: Sequence[int] = (),
 ) -> ProcessResult:
     """Run one program of OpenFOAM in ``folder``, its log beside it; raises what ``error`` makes of a failure."""
     log = folder / f"log.{command[0]}"
@@ -105,7 +106,7 @@ def run_in_folder(
             log=log,
             env=environment,
             timeout=time_limit,
-            pass_fds=(descriptor,),
+            pass_fds=(descriptor, *pass_fds),
         )
     if result.status == "interrupted":
         raise KeyboardInterrupt  # which the runner took for us: the run is interrupted, it did not fail

@@ -16,6 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -58,6 +59,8 @@ class LiggghtsDem:
     velocities : (n, 3) [m/s]; None: at rest
     restart : Path, optional
         A folder that `save` wrote: go on from there, with the contact history.
+    pass_fds : sequence of int
+        Open descriptors that the child inherits, e.g. the lock of the run folder.
 
     Raises
     ------
@@ -78,12 +81,15 @@ class LiggghtsDem:
         positions: Array | None,
         velocities: Array | None = None,
         restart: Path | None = None,
+        *,
+        pass_fds: Sequence[int] = (),
     ) -> None:
         scene = model.scene
         self.histogram_edges = histogram_edges(scene.particles.diameter)
         self._count = scene.particles.count
         self._plane = middle(scene) if scene.column.front_back == "layer" else None
         self._folder = folder
+        self._pass_fds = tuple(pass_fds)
         self._cpu = 0.0
         self._step = 0
         folder.mkdir(parents=True, exist_ok=True)
@@ -236,7 +242,7 @@ class LiggghtsDem:
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
-                pass_fds=(channel, memory),
+                pass_fds=(channel, memory, *self._pass_fds),
                 process_group=0,
             )
         except OSError as error:

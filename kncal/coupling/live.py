@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 
 from kncal.checks import Array, in_range, positive
@@ -51,6 +52,8 @@ class LiveGas:
         Largest number of particles that a step will have.
     time_limit : float
         Wall-clock limit of one gas step [s].
+    pass_fds : sequence of int
+        Open descriptors that the solver inherits.
 
     Raises
     ------
@@ -64,7 +67,16 @@ class LiveGas:
 
     name = "live"
 
-    def __init__(self, setup: GasSetup, folder: Path, library: Path, n_max: int, *, time_limit: float = 300.0) -> None:
+    def __init__(
+        self,
+        setup: GasSetup,
+        folder: Path,
+        library: Path,
+        n_max: int,
+        *,
+        time_limit: float = 300.0,
+        pass_fds: Sequence[int] = (),
+    ) -> None:
         if isinstance(n_max, bool) or not isinstance(n_max, int) or n_max < 0:
             raise InputError(f"n_max = {n_max!r}: expected the largest number of particles, a whole number >= 0")
         if library.name != LIBRARY or not library.is_file():
@@ -75,6 +87,7 @@ class LiveGas:
         self._folder = folder.absolute()
         self._library = library.absolute()
         self._time_limit = float(positive("time_limit", time_limit, unit="s"))
+        self._pass_fds = tuple(pass_fds)
         write_case(setup, self._folder, end_time=setup.step, write_interval=_NEVER, functions=_FUNCTIONS)
         self._cpu = make_mesh(self._folder)
         self._exchange_cpu = 0.0
@@ -210,6 +223,7 @@ class LiveGas:
             environment={**environment, "LD_LIBRARY_PATH": ":".join(filter(None, paths))},
             variable="KNCAL_EXCHANGE",
             descriptor=self._memory.descriptor,
+            pass_fds=self._pass_fds,
         )
         self._await(solver)
         self._attached = True

@@ -7,6 +7,7 @@ loading of the solver's libraries; a folder in memory (tmpfs) is best.
 from __future__ import annotations
 
 import shutil
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
@@ -54,6 +55,8 @@ class RestartGas:
         Processes that share each gas step (see `kncal.coupling.decomposed`).
     oversubscribe : bool
         Allow more ranks than cores.
+    pass_fds : sequence of int
+        Open descriptors that the solver inherits.
 
     Raises
     ------
@@ -73,10 +76,12 @@ class RestartGas:
         time_limit: float = 300.0,
         ranks: int = 1,
         oversubscribe: bool = False,
+        pass_fds: Sequence[int] = (),
     ) -> None:
         self.setup = setup
         self._ranks, self._oversubscribe = check_ranks(ranks, oversubscribe=oversubscribe), oversubscribe
         self._folder = folder.absolute()
+        self._pass_fds = tuple(pass_fds)
         self._time_limit = float(positive("time_limit", time_limit, unit="s"))
         write_case(setup, self._folder, end_time=setup.step, write_interval=1, ranks=ranks, oversubscribe=oversubscribe)
         self._cpu = make_mesh(self._folder)
@@ -181,6 +186,7 @@ class RestartGas:
             time_limit=self._time_limit,
             oversubscribe=self._oversubscribe,
             error=process_error,
+            pass_fds=self._pass_fds,
         )
         if self._ranks == 1:
             self._cpu += run([SOLVER, "-noFunctionObjects"], 1).cpu_seconds

@@ -50,6 +50,8 @@ class SolverProcess:
         Set to "<descriptor of the socket> <descriptor>".
     descriptor : int
         Of the shared memory, inherited.
+    pass_fds : sequence of int
+        More descriptors that it inherits.
 
     Raises
     ------
@@ -68,6 +70,7 @@ class SolverProcess:
         environment: Mapping[str, str],
         variable: str,
         descriptor: int,
+        pass_fds: Sequence[int] = (),
     ) -> None:
         found = shutil.which(command[0], path=environment.get("PATH", os.defpath))
         if found is None:
@@ -94,7 +97,7 @@ class SolverProcess:
                 stdin=subprocess.DEVNULL,
                 stdout=self._log,
                 stderr=subprocess.STDOUT,
-                pass_fds=inherited,
+                pass_fds=(*inherited, *pass_fds),
                 process_group=0,
             )
         except (OSError, ValueError) as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import time
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -117,17 +118,19 @@ class Coupled:
         timeout: float | None = None,
         progress: Progress | None = None,
         resume: bool = False,
+        pass_fds: Sequence[int] = (),
     ) -> RunResult:
         """Run ``model`` in ``folder``; never raises for a failed run, the status says so.
 
-        With ``resume`` the run goes on from its last complete checkpoint (from the start if there is none).
+        With ``resume`` the run goes on from its last complete checkpoint (from the start if there is none). The solvers
+        inherit the descriptors ``pass_fds`` (the lock of the run folder).
         """
         started = time.monotonic()
         status, message, failure = "completed", "", ""
         extra: dict[str, Any] = {"transport": self.transport if model.scene.gas else "none"}
         cpu = 0.0
         try:
-            cost = self._couple(model, folder, positions, timeout, progress, resume)
+            cost = self._couple(model, folder, positions, timeout, progress, resume, pass_fds)
             cpu = cost.dem + cost.gas + cost.exchange
             extra |= {
                 "couplings": cost.couplings,
@@ -166,6 +169,7 @@ class Coupled:
         timeout: float | None,
         progress: Progress | None,
         resume: bool,
+        pass_fds: Sequence[int],
     ) -> CoupledCost:
         from kncal.coupling.dem import LiggghtsDem
         from kncal.coupling.dem_child import histogram_edges
@@ -185,13 +189,14 @@ class Coupled:
             _set_aside(folder / name)
         dem = None
         with ExitStack() as sides:  # each is closed, whatever closing the other says
-            if (gas := self._gas(model, folder)) is not None:
+            if (gas := self._gas(model, folder, pass_fds)) is not None:
                 sides.callback(gas.close)
                 if state is not None:
                     gas.load(state / GAS)
             if not frozen:
                 at = None if state is None else state / PARTICLES
-                dem = LiggghtsDem(model, folder / PARTICLES, None if at else positions, restart=at)
+                start = None if at else positions
+                dem = LiggghtsDem(model, folder / PARTICLES, start, restart=at, pass_fds=pass_fds)
                 sides.callback(dem.close)
             edges = histogram_edges(model.scene.particles.diameter)
             run = CoupledRun(
@@ -200,17 +205,18 @@ class Coupled:
             return run.run(progress, time_limit=timeout)
         raise AssertionError("not reached: closing never hides an error")
 
-    def _gas(self, model: BedModel, folder: Path) -> GasTransport | None:
+    def _gas(self, model: BedModel, folder: Path, pass_fds: Sequence[int]) -> GasTransport | None:
         setup = gas_setup(model)
         if setup is None:
             return None
         if self.transport == "live" and self._library is not None:
             from kncal.coupling.live import LiveGas
 
-            return LiveGas(setup, folder / GAS, self._library, model.scene.particles.count)
+            count = model.scene.particles.count
+            return LiveGas(setup, folder / GAS, self._library, count, pass_fds=pass_fds)
         from kncal.coupling.restart import RestartGas
 
-        return RestartGas(setup, folder / GAS, ranks=self.ranks, oversubscribe=self._oversubscribe)
+        return RestartGas(setup, folder / GAS, ranks=self.ranks, oversubscribe=self._oversubscribe, pass_fds=pass_fds)
 
 
 def _set_aside(folder: Path) -> None:

@@ -138,6 +138,26 @@ def test_a_checkpoint_that_a_power_cut_left_in_pieces_is_not_gone_on_with(tmp_pa
     assert said[0].startswith("linear runs anew")
 
 
+@pytest.mark.parametrize("transport", ["live", "restart"])
+def test_the_solvers_of_a_bed_own_its_folder(tmp_path, transport):
+    """They inherit the lock: an orphan would still keep others out."""
+    if transport == "live" and find() is None:
+        pytest.skip("the adapter of the live transport is not built: kncal adapter build")
+    out, holders = tmp_path / "run", set()
+
+    def look(done: int, _: int) -> None:
+        for link in Path("/proc").glob("[0-9]*/fd/*"):
+            try:
+                if link.readlink() == out / ".lock" and int(link.parts[2]) != os.getpid():
+                    holders.add((link.parents[1] / "comm").read_text().strip())
+            except OSError:
+                continue  # it has ended, or is not ours
+
+    run_bed(mini(0.002), out, ("linear",), transport=transport, progress_for=lambda _: look)
+    assert any(name.startswith("python") for name in holders)  # LIGGGHTS' library lives in one
+    assert transport == "restart" or "DPMFoam" in holders  # a restarted one has ended when we look
+
+
 def test_impossible_beds_are_refused_before_anything_is_written(tmp_path):
     scene = mini(0.01)
     small = replace(scene, column=replace(scene.column, cells=(40, 8, 120)))
