@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +13,12 @@ from kncal import __version__
 from kncal.bed.model import BedModel
 from kncal.bed.scene import BedScene
 from kncal.checks import Array, one_of
-from kncal.coupling.base import GasTransport
+from kncal.coupling.base import Dem, GasTransport
 from kncal.coupling.checkpoint import GAS, PARTICLES, last_checkpoint
 from kncal.coupling.decomposed import divisions as check_divisions
 from kncal.coupling.loop import CoupledCost, CoupledRun, Progress, gas_setup
 from kncal.engines.base import Profile, RunResult
-from kncal.errors import InputError, KncalError, SolverMissingError, failure_of
+from kncal.errors import InputError, KncalError, RunError, SolverMissingError, failure_of
 from kncal.mpi import MISSING as NO_MPIRUN
 from kncal.mpi import MPIRUN, check_ranks
 
@@ -176,34 +176,32 @@ class Coupled:
 
         frozen = model.scene.particles.frozen or model.scene.particles.count == 0
         checkpoint = last_checkpoint(folder) if resume else None
-        first, state, before = (
-            (0, None, None)
-            if checkpoint is None
-            else (
-                checkpoint.coupling,
-                checkpoint.path,
-                checkpoint.cost,
-            )
-        )
+        first, state = (0, None) if checkpoint is None else (checkpoint.coupling, checkpoint.path)
         for name in (GAS, PARTICLES):
             _set_aside(folder / name)
         dem = None
-        with ExitStack() as sides:  # each is closed, whatever closing the other says
+        with ExitStack() as sides:
             if (gas := self._gas(model, folder, pass_fds)) is not None:
-                sides.callback(gas.close)
+                sides.enter_context(_closing(gas))
                 if state is not None:
                     gas.load(state / GAS)
             if not frozen:
                 at = None if state is None else state / PARTICLES
                 start = None if at else positions
                 dem = LiggghtsDem(model, folder / PARTICLES, start, restart=at, pass_fds=pass_fds)
-                sides.callback(dem.close)
-            edges = histogram_edges(model.scene.particles.diameter)
+                sides.enter_context(_closing(dem))
             run = CoupledRun(
-                model, folder, gas, dem, positions=positions, histogram_edges=edges, first=first, before=before
+                model,
+                folder,
+                gas,
+                dem,
+                positions=positions,
+                histogram_edges=histogram_edges(model.scene.particles.diameter),
+                first=first,
+                before=None if checkpoint is None else checkpoint.cost,
             )
-            return run.run(progress, time_limit=timeout)
-        raise AssertionError("not reached: closing never hides an error")
+            cost = run.run(progress, time_limit=timeout)
+        return cost
 
     def _gas(self, model: BedModel, folder: Path, pass_fds: Sequence[int]) -> GasTransport | None:
         setup = gas_setup(model)
@@ -217,6 +215,18 @@ class Coupled:
         from kncal.coupling.restart import RestartGas
 
         return RestartGas(setup, folder / GAS, ranks=self.ranks, oversubscribe=self._oversubscribe, pass_fds=pass_fds)
+
+
+@contextmanager
+def _closing(side: GasTransport | Dem) -> Iterator[None]:
+    """Close a side at the end; after an error, what closing says (a dead solver is one) does not take its place."""
+    try:
+        yield
+    except BaseException:
+        with suppress(RunError):
+            side.close()
+        raise
+    side.close()
 
 
 def _set_aside(folder: Path) -> None:

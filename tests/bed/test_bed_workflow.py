@@ -195,6 +195,27 @@ def test_a_killed_gas_solver_is_a_failed_run_and_leaves_nothing(tmp_path):
     assert _children("python") == before
 
 
+def test_what_closing_says_does_not_hide_why_a_run_ended(tmp_path):
+    """DPMFoam is killed and Ctrl-C comes: closing a dead solver is an error of its own, but the run was interrupted."""
+    if find() is None:
+        pytest.skip("the adapter of the live transport is not built: kncal adapter build")
+    from kncal.bed.packing import lattice
+
+    scene, folder = mini(1.0), tmp_path / "linear"
+    folder.mkdir()
+    before = _children("python")
+
+    def kill_and_interrupt(done: int, _: int) -> None:
+        for pid in _children("DPMFoam"):
+            os.kill(pid, signal.SIGKILL)
+        raise KeyboardInterrupt
+
+    result = Coupled("live").run(plan_bed(scene)["linear"], folder, lattice(scene), progress=kill_and_interrupt)
+    assert (result.status, result.failure) == ("interrupted", "")
+    assert _children("DPMFoam") == []
+    assert _children("python") == before
+
+
 def test_the_command_line_compares_a_bed(tmp_path):
     case = tmp_path / "case.toml"
     case.write_text(dump_case(mini(0.01)))
