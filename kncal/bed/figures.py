@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from kncal import plots
 from kncal.bed import pictures
 from kncal.bed.animation import animate, has_mp4, snapshot
@@ -75,8 +77,23 @@ def draw_bed_figures(comparison: BedComparison, folder: Path) -> tuple[Figure, .
         add(
             "bubbles",
             pictures.bubble_rise(runs),
-            "Rise velocity of every bubble that could be followed against its diameter, and of a single bubble.",
+            "Rise velocity of the bubbles against their diameter D; of a single one it is 0.711 √(g D).",
             "Rise velocity of bubbles against their diameter, linear and Hertz.",
+        )
+    if any(seen.curve is not None for seen in comparison.observations):
+        add(
+            "fluidization_curve",
+            pictures.fluidization_curves(runs),
+            "Pressure drop against falling gas velocity; U_mf is where the packed bed's curve reaches the weight.",
+            "Normalised pressure drop against gas velocity, linear and Hertz, with the packed bed's curve.",
+        )
+    if any(seen.solids is not None for seen in comparison.observations) and gas:
+        height = float(np.mean([seen.averages["z_mean"].mean for seen in comparison.observations]))
+        add(
+            "velocity",
+            pictures.velocity_profiles(runs, height),
+            "Mean vertical velocity of the particles across the bed, at its mean height.",
+            "Mean particle velocity against x, linear and Hertz.",
         )
     several = scene.particles.count > 1 and not scene.particles.frozen  # of one particle the curve shows more
     if several and all(len(d.series.t_frame) > 1 for d in data):

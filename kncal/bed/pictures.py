@@ -186,33 +186,34 @@ def bubble_rise(runs: Runs, ax: Axes | None = None) -> Axes:
             color=style["color"],
             markerfacecolor="none",
             markersize=4.5,
-            label=f"{_title(kind)}: bubbles followed: {len(observed.tracks.diameter)}",
+            label=f"{_title(kind)}: {len(observed.tracks.diameter)} bubbles",
         )
         largest, gravity = max(largest, float(observed.tracks.diameter.max())), series.facts.gravity
     if largest > 0.0:
         diameter = np.linspace(0.0, 1.05 * largest, 100)
-        ax.plot(1e3 * diameter, RISE * np.sqrt(gravity * diameter), color="0.35", label="0.711 √(g D), single bubble")
+        ax.plot(1e3 * diameter, RISE * np.sqrt(gravity * diameter), color="0.35", label="single bubble")
     ax.set_xlabel("bubble diameter D [mm]")
     ax.set_ylabel("rise velocity [m/s]")
     _dress(ax)
     return ax
 
 
-def cpu_split(seconds: Mapping[str, Mapping[str, float]], ax: Axes | None = None) -> Axes:
-    """Draw CPU seconds, run -> part -> seconds, as one bar per run; the parts in the order of the first run."""
-    ax = plots.new_axes(6.6, 1.2 + 0.55 * len(seconds)) if ax is None else ax
-    parts = list(next(iter(seconds.values())))
-    names = [_title(kind) for kind in seconds]
-    left = np.zeros(len(names))
-    for part, colour in zip(parts, ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9"), strict=False):
-        width = np.array([split[part] for split in seconds.values()])
-        bars = ax.barh(names, width, left=left, color=colour, label=part, height=0.6)
-        ax.bar_label(bars, [f"{w:.3g}" if w > 0.05 * width.sum() else "" for w in width], label_type="center")
-        left += width
-    ax.invert_yaxis()
-    ax.set_xlabel("CPU time [s]")
+def fluidization_curves(runs: Runs, ax: Axes | None = None) -> Axes:
+    """Draw pressure drop over weight against gas velocity on the way down, the packed bed's curve, and U_mf."""
+    ax = plots.new_axes() if ax is None else ax
+    for kind, (_, observed) in runs.items():
+        if observed.curve is None:
+            continue
+        branch, style = observed.curve.falling, plots.STYLES[kind]
+        ax.plot(branch.U_0, branch.drop, color=style["color"], linewidth=0.6, alpha=0.6, zorder=2)
+        velocity = np.linspace(0.0, branch.U_mf, 100)
+        label = f"{_title(kind)}: U_mf = {branch.U_mf:.3f} ± {branch.uncertainty:.2g} m/s"
+        ax.plot(velocity, branch.packed_drop(velocity), color=style["color"], linestyle=style["linestyle"], label=label)
+        ax.plot([branch.U_mf], [1.0], style["marker"], color=style["color"], markerfacecolor="none")
+    ax.axhline(1.0, color="0.35", linewidth=0.8, zorder=1)
+    ax.set_xlabel("superficial gas velocity [m/s]")
+    ax.set_ylabel("pressure drop over weight per area [–]")
     _dress(ax)
-    ax.grid(visible=False, axis="y")
     return ax
 
 

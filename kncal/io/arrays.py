@@ -57,15 +57,6 @@ def read_npz(path: Path, most: int) -> dict[str, NDArray[Any]]:
         raise ReadError(f"{path}: damaged ({error}); expected {_EXPECTED}") from error
 
 
-def read_npy(path: Path, most: int) -> NDArray[Any]:
-    """Return the array of a ``.npy`` file of at most ``most`` bytes, of any shape; see `read_npz` for the errors."""
-    data = read_limited(path, most, _EXPECTED)
-    try:
-        return _array(data)
-    except ValueError as error:
-        raise ReadError(f"{path}: damaged ({error}); expected {_EXPECTED}") from error
-
-
 def _check_directory(data: bytes) -> None:
     """Refuse a table of contents that would itself take much memory, before `zipfile` reads it."""
     end = data[-_DIRECTORY_END.size :]

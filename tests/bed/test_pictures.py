@@ -92,12 +92,6 @@ def test_profiles_and_bubbles(runs):
     assert "single bubble" in legend(ax)
 
 
-def test_cpu_split_adds_up():
-    ax = pictures.cpu_split({"linear": {"DEM": 30.0, "gas": 14.0}, "hertz": {"DEM": 90.0, "gas": 15.0}})
-    ends = [bar.get_x() + bar.get_width() for bar in ax.patches]
-    assert ends == pytest.approx([30.0, 90.0, 44.0, 105.0])
-
-
 def test_pictures_without_gas_are_empty_not_broken(tmp_path):
     dry = series(facts(gas_density=0.0), 300, floor=np.ones(300))
     runs = {"linear": (dry, observe_bed(dry))}

@@ -27,7 +27,7 @@ from kncal.case_text import find_case
 from kncal.errors import KncalError
 from kncal.folder import read_manifest, read_result
 from kncal.io import liggghts_dump, liggghts_log, openfoam
-from kncal.io.arrays import read_npy, read_npz
+from kncal.io.arrays import read_npz
 from kncal.io.tables import read_json
 from kncal.planning import plan
 from tests.fuzz.conftest import fuzzed, in_time
@@ -296,5 +296,3 @@ def test_series(folder: Path, series: Path, data: st.DataObject) -> None:
     keep(series / "facts.json", data.draw(st.one_of(st.just(facts), damaged(facts, b"null", b"[]", b'"x"'))))
     only_ours(lambda: read_series(series))
     only_ours(lambda: read_npz(series / "piece-00000.npz", 1 << 20))
-    start = good.index(b"\x93NUMPY")
-    only_ours(lambda: read_npy(keep(folder / "a.npy", data.draw(damaged(good[start : start + 448]))), 1 << 20))

@@ -133,7 +133,6 @@ def test_results_of_runs(tmp_path: Path) -> None:
         "bomb.npz": npz(rows=claimed("(25000000,)") + bytes(2 * 10**8)),
         "claim.npz": npz(rows=claimed("(100000000000000,)")),
         "object.npz": npz(rows=claimed("(1,)", "|O")),
-        "claim.npy": claimed("(100000000000000,)"),
         "step.dump": frame.format("9" * 5000, 1, "id") + "1\n",
         "step64.dump": frame.format("9" * 25, 1, "id") + "1\n",
         "rows.dump": frame.format(1, 10**17, "id") + "1\n",
@@ -153,7 +152,6 @@ def test_results_of_runs(tmp_path: Path) -> None:
         (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content.encode())
     readers = {
         ".npz": "lambda path: kncal.io.arrays.read_npz(path, 1 << 30)",
-        ".npy": "lambda path: kncal.io.arrays.read_npy(path, 1 << 30)",
         ".dump": "kncal.io.liggghts_dump.read_dump",
         ".log": "kncal.io.liggghts_log.read_log",
         ".json": "kncal.io.tables.read_json",
@@ -191,7 +189,7 @@ def test_devices_and_pipes_are_no_files(tmp_path: Path) -> None:
 
 
 def test_what_numpy_writes_reads_back(tmp_path: Path) -> None:
-    from kncal.io.arrays import read_npy, read_npz
+    from kncal.io.arrays import read_npz
 
     arrays = {
         "rows": np.arange(12.0).reshape(3, 4),
@@ -207,5 +205,3 @@ def test_what_numpy_writes_reads_back(tmp_path: Path) -> None:
     for name, array in arrays.items():
         assert found[name].dtype == array.dtype
         np.testing.assert_array_equal(found[name], array)
-    np.save(tmp_path / "a.npy", arrays["rows"])
-    np.testing.assert_array_equal(read_npy(tmp_path / "a.npy", 10**6), arrays["rows"])
