@@ -11,6 +11,7 @@ import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
+from enum import Enum
 from typing import Any
 
 from kncal.case_messages import short
@@ -18,6 +19,17 @@ from kncal.case_text import toml_key, toml_value
 from kncal.errors import CaseFileError, InputError
 
 _BARE_WORD = re.compile(r"[A-Za-z][A-Za-z0-9._-]*")
+
+
+class Absent(Enum):
+    """Stands for "not there": the bare word ``none`` takes a key, a table or a row of a list out of the case."""
+
+    NONE = "none"
+
+    def __str__(self) -> str:
+        return self.value
+
+
 #: A title of a case is at most so long.
 _LONGEST_TITLE = 300
 
@@ -29,7 +41,7 @@ class Override:
     Attributes
     ----------
     path : keys from the top of the file; inside a list of tables the name or the number (from 0) of one of them
-    value : as TOML has it
+    value : as TOML has it, or `Absent.NONE`
     """
 
     path: tuple[str, ...]
@@ -48,7 +60,8 @@ def parse_override(text: str) -> Override:
     """Return what ``KEY=VALUE`` says: a dotted TOML key, and a TOML value or a bare word (which is text).
 
     ``run.end_time=0.2``, ``particles.count=500``, ``contact.law=hertz``, ``gas.ramp=[[0, 0.1], [1, 0.5]]``,
-    ``walls.floor.position=0.0`` (of the wall called floor), ``title="two words"``.
+    ``walls.floor.position=0.0`` (of the wall called floor), ``title="two words"``; ``contact.method=none`` takes the
+    key out of the case (``gas=none`` the table).
 
     Raises
     ------
@@ -68,6 +81,8 @@ def parse_override(text: str) -> Override:
     value = _one_entry(f"x = {given.strip()}")
     if isinstance(value, dict) and set(value) == {"x"}:
         return Override(tuple(path), value["x"])
+    if given.strip() == str(Absent.NONE):
+        return Override(tuple(path), Absent.NONE)
     if _BARE_WORD.fullmatch(given.strip()):
         return Override(tuple(path), given.strip())
     raise InputError(
@@ -115,7 +130,12 @@ def _put(tables: dict[str, Any], override: Override) -> None:
         done.append(part)
     last = override.path[-1]
     if isinstance(here, list):
-        here[_row(here, last, done, override)] = override.value
+        row = _row(here, last, done, override)
+        here[row : row + 1] = [] if override.value is Absent.NONE else [override.value]
+    elif isinstance(here, dict) and override.value is Absent.NONE:
+        if last not in here:  # or a slip in the key would pass in silence
+            raise CaseFileError(f"{override.key} = none: not in the case: expected {_instead(last, here)}")
+        del here[last]
     elif isinstance(here, dict):
         here[last] = override.value
     else:

@@ -57,6 +57,23 @@ def test_what_an_override_says_of_itself_reads_back(value):
     assert type(again.value) is type(value)
 
 
+def test_none_takes_a_key_a_table_or_a_row_out_of_the_case():
+    bed = load_case("bubbling_bed_mini", overrides=["gas=none", "contact.method=none", "contact.k_n=100"])
+    assert isinstance(bed, BedScene)
+    assert bed.gas is None
+    assert bed.contact.k_n == 100.0
+    walls = load_case("stacked_particles").walls
+    fewer = load_case("stacked_particles", overrides=[f"walls.{walls[0].name}=none"]).walls
+    assert fewer == walls[1:]
+    assert parse_override(str(parse_override("gas=none"))) == parse_override("gas=none")
+    assert parse_override('title="none"').value == "none"
+
+
+def test_what_is_not_there_cannot_be_taken_out():
+    with pytest.raises(CaseFileError, match=r"contact\.methd = none: not in the case.*did you mean 'method'"):
+        load_case("bubbling_bed_mini", overrides=["contact.methd=none"])
+
+
 def test_the_tables_given_are_left_alone():
     tables = {"title": "x", "run": {"a": 1}, "walls": [{"name": "floor", "position": 0.0}]}
     before = json.dumps(tables)
