@@ -158,12 +158,34 @@ def design(
     CaseFileError
         If the case is not valid, or points are not (each is named with its values and the reason).
     """
+    sweep, text, _ = design_points(case, points, settings, skip_bad=skip_bad, progress=progress)
+    if not sweep.runs:
+        raise _refusal(sweep.refused)
+    return sweep, text
+
+
+def design_points(
+    case: str | Path,
+    points: Sequence[Point],
+    settings: Settings,
+    *,
+    skip_bad: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[Sweep, str, list[str | None]]:
+    """Do as `design` does; return also the id of each point's run, None for a refused one. There may be no run at all.
+
+    Raises
+    ------
+    CaseFileError
+        As `design`, but not where ``skip_bad`` leaves nothing.
+    """
     text, name, _ = read_case(case)
     base = load_case(case)
     bed = isinstance(base, BedScene)
     engine, transport = ("coupled", settings.transport) if bed else (settings.engine, "")
     runs: dict[str, list[str]] = {}
     refused: list[Refused] = []
+    ids: list[str | None] = []
     id_of = partial(run_id, engine=engine, models=settings.models, transport=transport, ranks=settings.ranks)
     with _checker(settings, bed) as check:
         for done, point in enumerate(points, start=1):
@@ -175,16 +197,16 @@ def design(
             except KncalError as error:
                 # the values stand beside the message anyway
                 refused.append(Refused(values=values, message=str(error).partition("\n(with ")[0]))
+                ids.append(None)
                 if len(refused) > _NAMED and not skip_bad:
                     break
             else:
-                runs.setdefault(id_of(written), values)
+                ids.append(id_of(written))
+                runs.setdefault(str(ids[-1]), values)
             if progress is not None:
                 progress(done, len(points))
-    if refused and (not skip_bad or not runs):
-        named = "\n".join(f"  {', '.join(r.values)}: {r.message}" for r in refused[:_NAMED])
-        more = "\n  and more" if len(refused) > _NAMED else ""
-        raise CaseFileError(f"points of the sweep that cannot run; nothing was started:\n{named}{more}")
+    if refused and not skip_bad:
+        raise _refusal(refused)
     sweep = Sweep.model_validate(
         {
             "kncal": __version__,
@@ -202,7 +224,13 @@ def design(
             "refused": refused,
         }
     )
-    return sweep, text
+    return sweep, text, ids
+
+
+def _refusal(refused: Sequence[Refused]) -> CaseFileError:
+    named = "\n".join(f"  {', '.join(r.values)}: {r.message}" for r in refused[:_NAMED])
+    more = "\n  and more" if len(refused) > _NAMED else ""
+    return CaseFileError(f"points of the sweep that cannot run; nothing was started:\n{named}{more}")
 
 
 @contextmanager
