@@ -91,6 +91,11 @@ def _commands(page: Path) -> list[list[str]]:
 # --- examples -----------------------------------------------------------------------------------------------
 
 
+def test_the_workflow_file_is_the_one_that_its_page_shows() -> None:
+    shown = [text for kind, text in _blocks(ROOT / "docs/how-to/compare-two-runs-in-ci.md") if kind == "yaml"]
+    assert shown == [(ROOT / "docs/ci/github-actions.yml").read_text("utf-8")]
+
+
 @pytest.mark.parametrize("page", _with("python"), ids=_name)
 def test_python_blocks_run_and_print_what_is_shown(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
