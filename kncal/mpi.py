@@ -16,14 +16,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from kncal.errors import InputError
-from kncal.runner import ProcessResult, run_process, solver_environment
+from kncal.runner import ALONE, ProcessResult, run_process, solver_environment
 
 MPIRUN = "mpirun"
 MISSING = "several ranks need Open MPI (no program 'mpirun' on PATH): apt-get install openmpi-bin, or one rank"
 #: More ranks on one machine are refused, whatever is said about cores.
 MOST_RANKS = 1024
 
-_SINGLETON = "OMPI_MCA_ess_singleton_isolated"
 _SHARED = Path("/dev/shm")  # noqa: S108 - where Open MPI itself keeps the memory that ranks share
 _PREFIX = "kncal-mpi-"
 #: mpirun hands SIGTERM on, gives its ranks a second, kills them, and has ended after two [s]; a second signal within
@@ -80,8 +79,8 @@ def mpi_command(command: Sequence[str], ranks: int, *, oversubscribe: bool = Fal
 
 def mpi_environment(environment: Mapping[str, str], ranks: int) -> dict[str, str]:
     """Return the environment of a solver on ``ranks`` ranks, from that on one."""
-    # With it each rank would take itself for a program of one rank.
-    return {key: value for key, value in environment.items() if ranks == 1 or key != _SINGLETON}
+    # With these each rank would take itself for a program of one rank, or could talk to none but itself.
+    return {key: value for key, value in environment.items() if ranks == 1 or key not in ALONE}
 
 
 def run_ranks(

@@ -56,6 +56,12 @@ class ProcessResult:
     command: tuple[str, ...] = ()
 
 
+#: Of a program of one rank, not under mpirun. Otherwise it starts Open MPI's daemon, in a session of its own where no
+#: signal to our group reaches it, and waits a quarter of a second for it; and as long again for networks to answer,
+#: though there is nobody to talk to but itself.
+ALONE = {"OMPI_MCA_ess_singleton_isolated": "1", "OMPI_MCA_pml": "ob1", "OMPI_MCA_btl": "self"}
+
+
 def solver_environment() -> dict[str, str]:
     """Return the environment of every solver: a few variables of the user's, the rest decided here.
 
@@ -63,9 +69,7 @@ def solver_environment() -> dict[str, str]:
     itself for one rank of many and dies in MPI_Init.
     """
     environment = {"PATH": os.environ.get("PATH", os.defpath), "LC_ALL": "C", "OMP_NUM_THREADS": "1"}
-    # Otherwise a program of one rank starts Open MPI's daemon, in a session of its own where no signal to our
-    # group reaches it, and waits a quarter of a second for it. Runs under mpirun are not concerned.
-    environment["OMPI_MCA_ess_singleton_isolated"] = "1"
+    environment |= ALONE
     if home := os.environ.get("HOME"):
         environment["HOME"] = home
     temporary = os.environ.get("TMPDIR")

@@ -347,7 +347,8 @@ def test_environment_is_short_and_ours(monkeypatch: pytest.MonkeyPatch, run) -> 
     assert names <= {
         "OMPI_MCA_orte_tmpdir_base",
         "PATH", "HOME", "TMPDIR", "LC_ALL", "OMP_NUM_THREADS", "WM_PROJECT_DIR",
-        "OMPI_MCA_ess_singleton_isolated", "OMPI_ALLOW_RUN_AS_ROOT", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM",
+        "OMPI_MCA_ess_singleton_isolated", "OMPI_MCA_pml", "OMPI_MCA_btl",
+        "OMPI_ALLOW_RUN_AS_ROOT", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM",
     }  # fmt: skip
     assert (ours["LC_ALL"], ours["OMP_NUM_THREADS"]) == ("C", "1")
     assert "TMPDIR" not in ours
