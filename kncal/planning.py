@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -39,15 +40,27 @@ def plan(scene: Scene, kinds: Iterable[str] = KINDS) -> dict[str, Model]:
     kinds = tuple(kinds)
     needs = decide(scene)
     models = {kind: _model(scene, kind, needs) for kind in KINDS}
-    control = scene.run
-    if control.until_time is not None:
-        t_end = control.until_time
-    else:
-        from kncal.exact import bounce_time
-
-        bounces = control.until_bounces or 1
-        t_end = max(bounce_time(model.without_friction(), bounces) for model in models.values())
+    t_end = scene.run.until_time
+    if t_end is None:
+        t_end = _bounced(_Known(repr(scene), models))
     return {kind: _timed(models[kind], t_end) for kind in kinds}
+
+
+@dataclass(frozen=True)
+class _Known:
+    """Models of a scene, told from others by its text: every number of it stands there with all its digits."""
+
+    text: str
+    models: Mapping[str, Model] = field(compare=False)
+
+
+@lru_cache(maxsize=256)  # a run is planned when it is checked, when it starts and when it is read
+def _bounced(known: _Known) -> float:
+    """Return when the slower of the models is at the apex after its bounces [s]."""
+    from kncal.exact import bounce_time
+
+    models = known.models.values()
+    return max(bounce_time(model.without_friction(), model.scene.run.until_bounces or 1) for model in models)
 
 
 def calibration_of(scene: Scene, a: Particle, b: Particle | Wall) -> Calibration | None:
