@@ -19,7 +19,7 @@ from pathlib import Path
 from kncal.checks import positive
 from kncal.errors import InputError, RunError
 from kncal.io.text import MAX_LINE, decode_line
-from kncal.stopping import check_stop
+from kncal.stopping import check_stop, shielded_start
 
 #: The states a process can end in.
 PROCESS_STATUSES = ("exited", "timed_out", "interrupted", "not_installed")
@@ -225,16 +225,17 @@ def _start(
     setpriv = shutil.which("setpriv")
     guard = [setpriv, "--pdeathsig", "KILL", "--"] if setpriv else []
     try:
-        return subprocess.Popen(  # noqa: S603 - a list of arguments, no shell
-            [*guard, found, *command[1:]],
-            cwd=cwd,
-            env=dict(environment),
-            stdin=subprocess.DEVNULL,
-            stdout=output,
-            stderr=subprocess.STDOUT,
-            process_group=0,
-            pass_fds=pass_fds,
-        )
+        with shielded_start():
+            return subprocess.Popen(  # noqa: S603 - a list of arguments, no shell
+                [*guard, found, *command[1:]],
+                cwd=cwd,
+                env=dict(environment),
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                process_group=0,
+                pass_fds=pass_fds,
+            )
     except (OSError, ValueError) as error:
         raise RunError(f"{found}: cannot be started ({error})") from error
 

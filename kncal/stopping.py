@@ -34,6 +34,20 @@ def check_stop() -> None:
 
 
 @contextmanager
+def shielded_start() -> Iterator[None]:
+    """Start a process in the block that Ctrl-C is not to reach, as it belongs to a process group of its own.
+
+    Until it is in that group the terminal's signals would end it. They are held back in this thread meanwhile, and
+    so in the new process from its first moment (which takes SIGTERM as ever).
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
 def stop_where_it_suits() -> Iterator[Callable[[], bool]]:
     """Let the block choose where it stops: gives a function that says whether it is asked to.
 

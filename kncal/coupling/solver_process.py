@@ -14,7 +14,7 @@ from pathlib import Path
 from kncal.errors import RunError, SolverMissingError
 from kncal.io.text import decode_line
 from kncal.runner import ProcessResult
-from kncal.stopping import check_stop
+from kncal.stopping import check_stop, shielded_start
 
 _TOKEN = 4  # bytes of a command and of an answer
 _GRACE = 10.0  # s that a solver may take to end once it was asked, or once its socket has closed
@@ -90,16 +90,17 @@ class SolverProcess:
         self._socket, theirs = socket.socketpair()
         inherited = (theirs.fileno(), descriptor)
         try:
-            self._child = subprocess.Popen(  # noqa: S603 - a list of arguments, no shell
-                [*guard, found, *command[1:]],
-                cwd=cwd,
-                env={**environment, variable: f"{inherited[0]} {inherited[1]}"},
-                stdin=subprocess.DEVNULL,
-                stdout=self._log,
-                stderr=subprocess.STDOUT,
-                pass_fds=(*inherited, *pass_fds),
-                process_group=0,
-            )
+            with shielded_start():
+                self._child = subprocess.Popen(  # noqa: S603 - a list of arguments, no shell
+                    [*guard, found, *command[1:]],
+                    cwd=cwd,
+                    env={**environment, variable: f"{inherited[0]} {inherited[1]}"},
+                    stdin=subprocess.DEVNULL,
+                    stdout=self._log,
+                    stderr=subprocess.STDOUT,
+                    pass_fds=(*inherited, *pass_fds),
+                    process_group=0,
+                )
         except (OSError, ValueError) as error:
             self._socket.close()
             os.close(self._log)
