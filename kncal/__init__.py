@@ -35,6 +35,7 @@ if TYPE_CHECKING:
         rayleigh_time,
         verlet_limit,
     )
+    from kncal.uncertainty import Propagation, propagate
 
 _HOME = {
     "kncal.calibration": ("Calibration", "calibrate"),
@@ -61,6 +62,7 @@ _HOME = {
         "rayleigh_time",
         "verlet_limit",
     ),
+    "kncal.uncertainty": ("Propagation", "propagate"),
 }
 _WHERE = {name: module for module, names in _HOME.items() for name in names}
 
@@ -73,6 +75,7 @@ __all__ = [
     "Material",
     "Pair",
     "PairMatrix",
+    "Propagation",
     "ReadError",
     "RenderError",
     "RunError",
@@ -89,6 +92,7 @@ __all__ = [
     "load_case",
     "pair",
     "predict_error",
+    "propagate",
     "rayleigh_time",
     "verlet_limit",
     "wall_pair",

@@ -6,13 +6,13 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 
 import numpy as np
 
-from kncal.case_schema import CaseTable, ContactTable, MaterialTable
+from kncal.case_schema import MEASURED, CaseTable, ContactTable, MaterialTable, MeasuredTable
 from kncal.checks import one_of
 from kncal.errors import InputError
 from kncal.material import Material
 from kncal.metrics import METRICS
 from kncal.needs import OVERRULABLE
-from kncal.scene import AXES, ContactChoice, PairChoice
+from kncal.scene import AXES, ContactChoice, MeasuredSpeed, PairChoice
 
 Path = tuple[str | int, ...]
 Problem = tuple[Path, str]
@@ -35,11 +35,15 @@ def make_materials(tables: Mapping[str, MaterialTable]) -> dict[str, Material]:
 
 def make_contact(table: ContactTable) -> ContactChoice:
     """Return what a ``[contact]`` table says."""
-    values = table.model_dump(exclude={"options", "pairs", "method"})
+    values = table.model_dump(exclude={"options", "pairs", "method", "v_0", "measured"})
+    if table.to_be_measured:
+        table_of = table.measured or MeasuredTable.model_validate({})
+        values["measured"] = MeasuredSpeed(**table_of.model_dump())
     if table.method is not None:
         values["method"] = table.method
     return ContactChoice(
         **values,
+        v_0=None if table.to_be_measured else table.v_0,
         method_options=dict(table.options),
         pairs=tuple(
             PairChoice(between=(c.between[0], c.between[1]), **c.model_dump(exclude={"between"})) for c in table.pairs
@@ -104,6 +108,11 @@ def contact_problems(contact: ContactTable) -> Iterator[Problem]:
             METHODS[method].options(contact.options)
         except InputError as error:
             yield ("contact", "options"), str(error)
+    measured = contact.to_be_measured
+    if contact.measured is not None and not measured:
+        yield ("contact", "measured"), f'given without v_0 = "{MEASURED}": expected both or none of them'
+    if measured and contact.k_n is not None:
+        yield ("contact", "k_n"), f'given together with v_0 = "{MEASURED}": expected one of the two'
     if contact.law == "hertz":
         for path, e_n in [
             (("contact", "e_n"), contact.e_n),

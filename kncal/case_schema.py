@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidatorFunctionWrapHandler, WrapValidator
 
 from kncal.checks import in_range, positive
 
@@ -54,6 +54,12 @@ def above_zero(unit: str = "", hint: str = "", high: float = np.inf) -> AfterVal
     return AfterValidator(check)
 
 
+def _or_measured(value: object, check: ValidatorFunctionWrapHandler) -> object:
+    if isinstance(value, str) and value != MEASURED:
+        raise ValueError(f'expected a speed in m/s, without quotes or unit, or "{MEASURED}"')
+    return value if value == MEASURED else check(value)
+
+
 def _option(value: float | str) -> float | str:
     if isinstance(value, str):
         return _name(value)
@@ -66,6 +72,8 @@ Text = Annotated[str, AfterValidator(_line)]
 Restitution = Annotated[float, within(1e-3, 1.0, hint="a contact with less hardly ever ends")]
 Friction = Annotated[float, within(0.0, 10.0)]
 Speed = Annotated[float, above_zero("m/s", high=1e4)]
+#: What ``contact.v_0`` says where the speed is to be measured.
+MEASURED = "measured"
 Stiffness = Annotated[float, above_zero("N/m")]
 Seconds = Annotated[float, above_zero("s")]
 THREE = Field(min_length=3, max_length=3)
@@ -124,6 +132,20 @@ class PairTable(Table):
     k_n: Stiffness | None = Field(None, description="prescribed linear stiffness [N/m]")
 
 
+class MeasuredTable(Table):
+    """``[contact.measured]``."""
+
+    statistic: Literal["energy_weighted", "mean", "p99"] = Field(
+        "energy_weighted", description='of the impact speeds: "energy_weighted" mean, "mean" or "p99"'
+    )
+    start: Speed | None = Field(None, description="first guess of v_0 [m/s]")
+    run_time: Seconds | None = Field(None, description="end time of a measuring round [s]")
+    tolerance: Annotated[float, above_zero(high=1.0)] = Field(
+        0.02, description="relative change of k_n below which it has settled [-]"
+    )
+    rounds: Annotated[int, within(1, 50)] = Field(6, description="most rounds")
+
+
 class ContactTable(Table):
     """``[contact]``; the names of law and method are checked against the registries."""
 
@@ -131,7 +153,10 @@ class ContactTable(Table):
     e_n: Restitution = Field(1.0, description="normal restitution [-]")
     end: Literal["overlap", "force"] = Field("overlap", description='contact end: "overlap" or "force"')
     method: str | None = Field(None, description="how k_n is found")
-    v_0: Speed | None = Field(None, description="impact speed to calibrate at [m/s]")
+    v_0: Annotated[Speed, WrapValidator(_or_measured)] | None = Field(
+        None, description="impact speed to calibrate at [m/s]"
+    )
+    measured: MeasuredTable | None = Field(None, description='[contact.measured], for v_0 = "measured"')
     k_n: Stiffness | None = Field(None, description="prescribed linear stiffness [N/m]")
     friction: Friction = Field(0.0, description="Coulomb friction coefficient [-]")
     k_t_ratio: Annotated[float, within(0.0, 10.0)] | None = Field(None, description="k_t/k_n [-]")
@@ -140,6 +165,11 @@ class ContactTable(Table):
         {}, description="options of the method"
     )
     pairs: list[PairTable] = Field([], max_length=MOST_PAIRS, description="exceptions for single pairs")
+
+    @property
+    def to_be_measured(self) -> bool:
+        """Whether ``v_0`` is the word instead of a number."""
+        return str(self.v_0) == MEASURED
 
 
 class RunTable(Table):
@@ -184,6 +214,7 @@ CaseTable.parts = {
     "particles": ParticleTable,
     "walls": WallTable,
     "contact": ContactTable,
+    "measured": MeasuredTable,
     "pairs": PairTable,
     "run": RunTable,
 }

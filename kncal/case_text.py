@@ -169,6 +169,8 @@ def toml_value(value: Any) -> str:
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, (tuple, list)):
         return f"[{', '.join(map(toml_value, value))}]"
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{toml_key(key)} = {toml_value(v)}" for key, v in value.items()) + "}"
     return repr(value) if isinstance(value, int) else repr(float(value))
 
 
@@ -177,9 +179,14 @@ def contact_tables(contact: ContactChoice) -> list[str]:
     first = {"law": contact.law, "e_n": contact.e_n, "end": contact.end}
     if contact.k_n is None:
         first["method"] = contact.method
-    parts = [table("[contact]", first | settings(contact, skip={"method_options", "pairs"} | {*first}))]
+    rest = settings(contact, skip={"method_options", "measured", "pairs"} | {*first})
+    if contact.measured is not None:
+        rest["v_0"] = "measured"
+    parts = [table("[contact]", first | rest)]
     if contact.method_options:
         parts.append(table("[contact.options]", contact.method_options))
+    if contact.measured is not None:
+        parts.append(table("[contact.measured]", settings(contact.measured)))
     return parts + [table("[[contact.pairs]]", settings(choice)) for choice in contact.pairs]
 
 

@@ -40,6 +40,8 @@ MANIFEST, STARTED, RESULT, CASE, REPORT = "manifest.json", "started.json", "resu
 #: What a bed run leaves for its numbers, as ``particles.dump`` of a single contact.
 SERIES = "series.csv"
 PIECES = "series"
+#: Folder in a run folder with the rounds that measured its impact speed (see `kncal.measured`).
+MEASURING = "measuring"
 
 
 def sha256(path: Path) -> str:
@@ -62,10 +64,7 @@ def case_folder(
     RenderError
         If ``out`` is a file or a link, holds things that kncal did not put there, or is in use by another run.
     """
-    if out.is_symlink() or (out.exists() and not out.is_dir()):
-        raise RenderError(f"{out}: expected a folder (or nothing yet), not a file or a link; choose another --out")
-    if not (out / LOCK).exists():
-        _check_ours(out)
+    refuse_foreign(out)
     out.mkdir(parents=True, exist_ok=True)
     with locked(out) as descriptor:
         _check_ours(out)
@@ -87,6 +86,20 @@ def case_folder(
         yield descriptor
 
 
+def refuse_foreign(out: Path) -> None:
+    """Refuse ``out`` as a run folder if it is a file or a link, or holds things that kncal did not put there.
+
+    Raises
+    ------
+    RenderError
+        Saying which.
+    """
+    if out.is_symlink() or (out.exists() and not out.is_dir()):
+        raise RenderError(f"{out}: expected a folder (or nothing yet), not a file or a link; choose another --out")
+    if not (out / LOCK).exists():
+        _check_ours(out)
+
+
 def _check_ours(out: Path) -> None:
     if out.is_dir() and not (out / MANIFEST).is_file() and not all(map(_left_behind, out.iterdir())):
         raise RenderError(
@@ -98,7 +111,8 @@ def _check_ours(out: Path) -> None:
 def _left_behind(path: Path) -> bool:
     """Return whether this may be there without a manifest: what a start leaves that is killed just then."""
     half_written = path.name.startswith(f".{MANIFEST}.") and path.name.endswith(".part")
-    return path.name == LOCK or half_written or (path.name.startswith("attempt-") and path.is_dir())
+    kept = (path.name.startswith("attempt-") or path.name == MEASURING) and path.is_dir()
+    return path.name == LOCK or half_written or kept
 
 
 def _same_case(scene: Scene | BedScene, out: Path) -> bool:
@@ -116,7 +130,8 @@ def set_aside(out: Path, kinds: Iterable[str] | None = None) -> Path:
     while (attempt := out / f"attempt-{number}").exists():
         number += 1
     names = None if kinds is None else {*kinds, REPORT}
-    old = [path for path in out.iterdir() if path.name != LOCK and not path.name.startswith("attempt-")]
+    stays = (LOCK, MEASURING)
+    old = [path for path in out.iterdir() if path.name not in stays and not path.name.startswith("attempt-")]
     attempt.mkdir()
     for path in sorted(old, key=lambda path: path.name == MANIFEST):  # the manifest last, see `_check_ours`
         if names is None or path.name in names:

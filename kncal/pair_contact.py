@@ -33,7 +33,18 @@ class Rest(NamedTuple):
 
 
 def numbers_of(contact: ContactChoice, exception: PairChoice | None) -> PairNumbers:
-    """Return the numbers of one pair: the case's choice, or what its exception says instead."""
+    """Return the numbers of one pair: the case's choice, or what its exception says instead.
+
+    Raises
+    ------
+    CaseFileError
+        If the impact speed is still to be measured.
+    """
+    if contact.measured is not None:
+        raise CaseFileError(
+            'contact.v_0 = "measured": a speed that is still to be measured; kncal kn, render, run and compare of the '
+            "case measure it first: here expected a number [m/s], such as the one that kncal kn of the case ends with"
+        )
     e_n, friction, v_0, k_n = contact.e_n, contact.friction, contact.v_0, contact.k_n
     if exception is not None:
         e_n = e_n if exception.e_n is None else exception.e_n

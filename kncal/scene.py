@@ -62,6 +62,26 @@ class PairChoice:
 
 
 @dataclass(frozen=True, kw_only=True)
+class MeasuredSpeed:
+    """How the impact speed to calibrate at is measured (``contact.v_0 = "measured"``; see `kncal.measured`).
+
+    Attributes
+    ----------
+    statistic : of the impact speeds: "energy_weighted", "mean" or "p99" (see `kncal.impact_speeds`)
+    start : first guess of v_0 [m/s]; None (single contacts only): the first impact, from ballistics
+    run_time : end time of a measuring round [s]; None (single contacts only): as the case runs
+    tolerance : relative change of k_n below which it has settled [-]
+    rounds : most rounds
+    """
+
+    statistic: str = "energy_weighted"
+    start: float | None = None
+    run_time: float | None = None
+    tolerance: float = 0.02
+    rounds: int = 6
+
+
+@dataclass(frozen=True, kw_only=True)
 class ContactChoice:
     """The reference contact law and how its linear counterpart is found.
 
@@ -73,6 +93,8 @@ class ContactChoice:
     method : how k_n is found; not used where ``k_n`` is given
     method_options : options of the method
     v_0 : impact speed to calibrate at [m/s]; None: the scene's first impact, from ballistics
+    measured : not None where the case says ``v_0 = "measured"`` (then ``v_0`` is None): such a scene has no numbers
+        before `kncal.measured.resolve_measured` puts a speed in its place
     k_n : prescribed linear stiffness [N/m]; overrules the method
     friction : Coulomb coefficient [-]
     k_t_ratio : k_t/k_n of the linear contact [-]; None: the Mindlin ratio of the pair
@@ -86,6 +108,7 @@ class ContactChoice:
     method: str = "mean_overlap"
     method_options: Mapping[str, float | str] = field(default_factory=dict)
     v_0: float | None = None
+    measured: MeasuredSpeed | None = None
     k_n: float | None = None
     friction: float = 0.0
     k_t_ratio: float | None = None

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from kncal.bed.facts import BedFacts
 from kncal.bed.fields import cell_centres, frames_from
-from kncal.bed.series import BedFacts, BedSeries
+from kncal.bed.series import BedSeries
 from kncal.checks import Array, in_range
 from kncal.errors import InputError
 

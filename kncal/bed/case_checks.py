@@ -21,6 +21,7 @@ from kncal.case_checks import (
     material_problems,
     needs_problems,
 )
+from kncal.statistics import MIN_SAMPLES
 
 #: The names of the two kinds of bodies in the exceptions of a bed.
 PARTICLES, WALLS = "particles", "walls"
@@ -61,6 +62,17 @@ def _contact(case: BedTable) -> Iterator[Problem]:
                 (*path, "between"),
                 f"between = {choice.between!r}: walls do not touch each other: expected {PARTICLES!r} twice, or "
                 f"{PARTICLES!r} and {WALLS!r}",
+            )
+    if contact.to_be_measured:
+        for key, what in (("start", "a first guess of v_0 [m/s]"), ("run_time", "the time to measure over [s]")):
+            if contact.measured is None or getattr(contact.measured, key) is None:
+                yield ("contact", "measured", key), f"missing: expected {what}: a bed has no first impact"
+        time = None if contact.measured is None else contact.measured.run_time
+        if time is not None and time < (least := 2 * MIN_SAMPLES * case.run.coupling):
+            # at most half of a run is start-up
+            yield (
+                ("contact", "measured", "run_time"),
+                f"run_time = {time:g}: expected at least {2 * MIN_SAMPLES} coupling intervals, {least:g} s",
             )
     particles = case.particles
     needed = particles.count > 0 and (not particles.frozen or particles.packing == "settled")

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kncal.bed.series import BedFacts, BedSeries
+from kncal.bed.facts import BedFacts
+from kncal.bed.series import BedSeries
 from kncal.checks import Array
 from kncal.errors import InputError
 

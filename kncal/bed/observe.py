@@ -98,11 +98,8 @@ def observe_bed(series: BedSeries, discard: float | None = None, gas: Gas | None
     InputError
         If fewer than `MIN_SAMPLES` couplings remain.
     """
-    begin, begin_by, doubt = (discard, "given", "") if discard is not None else _begin(series)
+    begin, begin_by, doubt = window_start(series, discard)
     kind, changes = bed_kind(series, begin), gas_changes(series, begin)
-    if discard is None and (kind in ("single", "frozen") or changes):
-        begin, begin_by, doubt = 0.0, "given", ""
-        kind, changes = bed_kind(series, begin), gas_changes(series, begin)
     facts = series.facts
     rows = rows_from(series, begin)
     if rows.sum() < MIN_SAMPLES:
@@ -165,6 +162,19 @@ def observe_bed(series: BedSeries, discard: float | None = None, gas: Gas | None
         plateaus=plateaus or (),
         curve=curve,
     )
+
+
+def window_start(series: BedSeries, discard: float | None = None) -> tuple[float, str, str]:
+    """Return the time [s] from which a run is averaged, what says so (see `BedObservations`), and a doubt or "".
+
+    That is ``discard`` [s], or where the start-up ends as detected; 0 for a single particle, a frozen bed, a ramp.
+    """
+    if discard is not None:
+        return discard, "given", ""
+    begin, begin_by, doubt = _begin(series)
+    if bed_kind(series, begin) in ("single", "frozen") or gas_changes(series, begin):
+        return 0.0, "given", ""
+    return begin, begin_by, doubt
 
 
 def voidage_difference(a: BedSeries, b: BedSeries, begin_a: float, begin_b: float) -> tuple[float, float]:

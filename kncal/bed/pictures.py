@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kncal import plots
+from kncal.bed.facts import BedFacts
 from kncal.bed.fields import velocity_profile
 from kncal.bed.observe import BedObservations
-from kncal.bed.series import BedFacts, BedSeries
+from kncal.bed.series import BedSeries
 from kncal.checks import Array, one_of
 from kncal.errors import InputError
 from kncal.units import si_prefix

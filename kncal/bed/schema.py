@@ -9,6 +9,7 @@ from pydantic import Field
 from kncal.case_schema import (
     ContactTable,
     MaterialTable,
+    MeasuredTable,
     Name,
     PairTable,
     Root,
@@ -118,6 +119,7 @@ BedTable.parts = {
     "gas": GasTable,
     "jet": JetTable,
     "contact": ContactTable,
+    "measured": MeasuredTable,
     "pairs": PairTable,
     "run": BedRunTable,
     "materials": MaterialTable,

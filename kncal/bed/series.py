@@ -10,14 +10,14 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kncal.bed.model import BedModel
+from kncal.bed.facts import BedFacts
 from kncal.checks import Array
 from kncal.coupling.base import DemStep, GasFields, GasStep
 from kncal.errors import InputError, ReadError
@@ -39,52 +39,8 @@ UNITS: Mapping[str, str] = {
     "overlap_mean": "m", "contacts": "-", "reaction_error": "-", "not_passed": "-", "solids_error": "-",
     "eps_g_min": "-", "courant_max": "-",
 }  # fmt: skip
+_PER_COUPLING = ("histogram", "watched", "impacts", "impact_sums")
 _FRAMES = ("frame_coupling", "t_frame", "x", "v", "eps_g", "p", "U")
-
-
-@dataclass(frozen=True, kw_only=True)
-class BedFacts:
-    """What stays the same during a run and is needed to understand its numbers.
-
-    Attributes
-    ----------
-    name : of the scene; kind : "linear" or "hertz"
-    size : box (x, y, z) [m]; cells : gas cells per axis; front_back : see `kncal.bed.scene.DEPTHS`
-    count : particles; diameter [m]; density of the particles [kg/m³]; gravity [m/s²]
-    gas_density : [kg/m³], 0 without gas
-    jet : whether the gas enters through a jet, so that ``p_in`` is the pressure at its slot only
-    coupling : interval between couplings [s]
-    histogram_edges : (bins + 1,) edges of the overlap histogram [m]
-    """
-
-    name: str
-    kind: str
-    size: tuple[float, float, float]
-    cells: tuple[int, int, int]
-    front_back: str
-    count: int
-    diameter: float
-    density: float
-    gravity: float
-    gas_density: float
-    jet: bool
-    coupling: float
-    histogram_edges: tuple[float, ...]
-
-    @property
-    def floor_area(self) -> float:
-        """Area of the floor [m²]."""
-        return self.size[0] * self.size[1]
-
-    @property
-    def mass(self) -> float:
-        """Mass of all particles [kg]."""
-        return self.count * self.density * np.pi / 6.0 * self.diameter**3
-
-    @property
-    def weight(self) -> float:
-        """Weight of all particles [N]."""
-        return self.mass * self.gravity
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,6 +65,10 @@ class BedSeries:
     reaction_error, not_passed : see `kncal.coupling.base.GasStep`, relative to the weight
     solids_error, eps_g_min, courant_max : see `GasStep`
     histogram : (couplings, bins) counts of overlaps, edges in ``facts.histogram_edges``
+    watched : (couplings,) time in which new contacts were watched for [s]; 0 where impacts were not recorded
+    impacts : (couplings, 2, bins) counts of the impact speeds of new contacts of two particles, and of a particle and a
+        wall, edges in ``facts.impact_edges`` (no bins where they were not recorded)
+    impact_sums : (couplings, 2, 3) sums over the same impacts of v, v², v³
     frame_coupling : (frames,) coupling after which a frame was taken, 0 for the start
     t_frame : (frames,) [s]
     x, v : (frames, particles, 3) [m], [m/s], single precision
@@ -138,6 +98,9 @@ class BedSeries:
     eps_g_min: Array
     courant_max: Array
     histogram: NDArray[np.int64]
+    watched: Array
+    impacts: NDArray[np.int32]
+    impact_sums: Array
     frame_coupling: NDArray[np.int64]
     t_frame: Array
     x: Frames
@@ -145,27 +108,6 @@ class BedSeries:
     eps_g: Frames
     p: Frames
     U: Frames
-
-
-def bed_facts(model: BedModel, histogram_edges: Array) -> BedFacts:
-    """Collect the facts of a model; ``histogram_edges`` (bins + 1,) [m] as the particle side counts overlaps."""
-    scene = model.scene
-    column, particles = scene.column, scene.particles
-    return BedFacts(
-        name=scene.name,
-        kind=model.kind,
-        size=(column.width, column.depth, column.height),
-        cells=column.cells,
-        front_back=column.front_back,
-        count=particles.count,
-        diameter=particles.diameter,
-        density=float(particles.material.density),
-        gravity=scene.gravity,
-        gas_density=scene.gas.density if scene.gas else 0.0,
-        jet=bool(scene.gas and scene.gas.jet),
-        coupling=model.coupling,
-        histogram_edges=tuple(float(edge) for edge in histogram_edges),
-    )
 
 
 class SeriesWriter:
@@ -180,7 +122,10 @@ class SeriesWriter:
         self.facts = facts
         folder.mkdir(parents=True, exist_ok=True)
         if (folder / "facts.json").exists():
-            if (there := _read_facts(folder)) != facts:
+            there = _read_facts(folder)
+            if not there.impact_edges:
+                self.facts = facts = replace(facts, impact_edges=())  # began without a record of impacts, ends so
+            if there != facts:
                 differing = ", ".join(f.name for f in fields(facts) if getattr(there, f.name) != getattr(facts, f.name))
                 raise InputError(
                     f"{folder} holds the series of another run ({differing} differ); expected the same run, or an "
@@ -191,6 +136,7 @@ class SeriesWriter:
         self._number = 1 + max((_piece_number(path) for path in folder.glob("piece-*.npz")), default=-1)
         self._rows: list[tuple[float, ...]] = []
         self._histograms: list[NDArray[np.int64]] = []
+        self._impacts: list[tuple[float, NDArray[np.int32], Array]] = []
         self._frames: list[tuple[NDArray[Any], ...]] = []
         self._bytes = 0
         self._written_at = time.monotonic()
@@ -241,13 +187,17 @@ class SeriesWriter:
             row["reaction_error"] = gas.reaction_error / weight if weight else nan
             row["not_passed"] = gas.not_passed / weight if weight else nan
         histogram = np.zeros(len(facts.histogram_edges) - 1, dtype=np.int64)
+        watched, impacts, sums = 0.0, np.zeros((2, facts.impact_bins), dtype=np.int32), np.zeros((2, 3))
         if dem is not None:
             row |= {name: getattr(dem, name) for name in ("overlap_max", "overlap_mean", "contacts")}
             row |= {"floor": dem.floor_force, "walls": dem.other_walls_force}
             histogram = np.array(dem.histogram, dtype=np.int64)
+            if facts.impact_edges:
+                watched, impacts, sums = dem.watched, np.array(dem.impacts, dtype=np.int32), dem.impact_sums.copy()
         self._rows.append(tuple(row[name] for name in UNITS))
         self._histograms.append(histogram)
-        self._bytes += 8 * (len(UNITS) + len(histogram))
+        self._impacts.append((watched, impacts, sums))
+        self._bytes += 8 * (len(UNITS) + len(histogram) + facts.impact_bins + 7)
 
     def frame(self, coupling: int, x: Array, v: Array, fields: GasFields | None) -> None:
         """Record a frame after coupling ``coupling`` (0: the start), before the next `add`; copies what it is given.
@@ -274,6 +224,11 @@ class SeriesWriter:
         arrays: dict[str, NDArray[Any]] = {
             "rows": np.array(self._rows, dtype=np.float64).reshape(-1, len(UNITS)),
             "histogram": np.array(self._histograms, dtype=np.int64).reshape(-1, len(self.facts.histogram_edges) - 1),
+            "watched": np.array([watched for watched, _, _ in self._impacts]),
+            "impacts": np.array([impacts for _, impacts, _ in self._impacts], dtype=np.int32).reshape(
+                len(self._impacts), 2, self.facts.impact_bins
+            ),
+            "impact_sums": np.array([sums for _, _, sums in self._impacts]).reshape(-1, 2, 3),
         }
         if self._frames:
             arrays |= {
@@ -288,7 +243,7 @@ class SeriesWriter:
             os.fsync(file.fileno())
         part.replace(path)
         self._number += 1
-        self._rows, self._histograms, self._frames, self._bytes = [], [], [], 0
+        self._rows, self._histograms, self._impacts, self._frames, self._bytes = [], [], [], [], 0
 
     def close(self) -> None:
         """Write what is left; may be called twice."""
@@ -347,7 +302,7 @@ def _read_facts(folder: Path) -> BedFacts:
     path = folder / "facts.json"
     data = read_json(path)
     names = {f.name for f in fields(BedFacts)}
-    if not isinstance(data, dict) or set(data) != names:
+    if not isinstance(data, dict) or {*data, "impact_edges"} != names:  # older runs have no record of impacts
         raise ReadError(f"{path}: expected exactly the keys {', '.join(sorted(names))}")
     from pydantic import TypeAdapter, ValidationError
 
@@ -365,7 +320,7 @@ def _before(coupling: int, piece: dict[str, NDArray[Any]]) -> dict[str, NDArray[
     rows = piece["rows"][:, 0] < coupling
     frames = piece["frame_coupling"] < coupling
     gas = frames if len(piece["eps_g"]) else np.zeros(0, dtype=bool)
-    masks = {"rows": rows, "histogram": rows, "eps_g": gas, "p": gas, "U": gas}
+    masks = dict.fromkeys(("rows", *_PER_COUPLING), rows) | {"eps_g": gas, "p": gas, "U": gas}
     return {name: array[masks.get(name, frames)] for name, array in piece.items()}
 
 
@@ -377,6 +332,9 @@ def _read_piece(path: Path, facts: BedFacts) -> dict[str, NDArray[Any]]:
     shapes: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
         "rows": (np.float64, (len(UNITS),)),
         "histogram": (np.int64, (len(facts.histogram_edges) - 1,)),
+        "watched": (np.float64, ()),
+        "impacts": (np.int32, (2, facts.impact_bins)),
+        "impact_sums": (np.float64, (2, 3)),
         "frame_coupling": (np.int64, ()),
         "t_frame": (np.float64, ()),
         "x": (np.float32, (facts.count, 3)),
@@ -385,10 +343,17 @@ def _read_piece(path: Path, facts: BedFacts) -> dict[str, NDArray[Any]]:
         "p": (np.float32, field_shape),
         "U": (np.float32, (*field_shape, 3)),
     }
+    recorded = bool(facts.impact_edges) or "rows" not in arrays
     for name, (kind, shape) in shapes.items():
-        array = arrays.setdefault(name, np.empty((0, *shape), dtype=kind))
+        # of older runs, which have no record of impacts: none in every coupling
+        first = 0 if recorded or not name.startswith(("watched", "impact")) else len(arrays["rows"])
+        array = arrays.setdefault(name, np.zeros((first, *shape), dtype=kind))
         if array.dtype != kind or array.shape[1:] != shape:
             raise ReadError(f"{path}: {name} is {array.dtype} {array.shape}; expected {kind.__name__} (any, {shape})")
+        if name in _PER_COUPLING and len(array) != len(arrays["rows"]):
+            raise ReadError(
+                f"{path}: {name} of {len(array)} couplings; expected {len(arrays['rows'])}, as many as rows"
+            )
     if not len(arrays["rows"]) and not len(arrays["frame_coupling"]):
         raise ReadError(f"{path}: empty; expected rows or frames")
     return {name: arrays[name] for name in shapes}

@@ -10,7 +10,16 @@ from cyclopts import Parameter
 
 from kncal.cli import show
 from kncal.cli.contact_flags import ContactFlags
-from kncal.cli.runs import Set
+from kncal.cli.runs import EngineName, Out, Set, measured
+from kncal.cli.speeds import (
+    FromRun,
+    Picture,
+    Uncertain,
+    kn_from_run,
+    print_propagation,
+    propagate_pair,
+    texts,
+)
 from kncal.errors import InputError
 
 if TYPE_CHECKING:
@@ -43,9 +52,17 @@ def kn(
         float | None, Parameter(help="N of the advised time steps; default: the case's, 50 without one")
     ] = None,
     overrides: Set = None,
+    from_run: FromRun = None,
+    uncertain: Uncertain = None,
+    picture: Picture = None,
+    engine: EngineName = "liggghts",
+    out: Out = None,
     json: Json = False,
 ) -> None:
     """Linear stiffness and damping by every method, for a material given by flags or for the pairs of a CASE.
+
+    With --from-run at the impact speeds that a run had. A CASE whose contact.v_0 is "measured" is run for them first,
+    with --engine, in the folder --out.
 
     Example: kncal kn --young 70e9 --poisson 0.22 --density 2500 --radius 1e-3 --v0 0.5 --en 0.9
 
@@ -57,6 +74,15 @@ def kn(
     options = {"fraction": fraction, "factor": factor}
     options |= {name: value for name, value in (("t_c", t_c), ("force", force)) if value is not None}
     flags = contact or ContactFlags()
+    if from_run is not None:
+        if given := [*flags.given(), *(["--set"] if overrides else []), *([case] if case else [])]:
+            raise InputError(
+                f"{given[0]} and --from-run: the run's case holds these numbers: expected one or the other"
+            )
+        kn_from_run(from_run, uncertain or (), picture, json=json)
+        return
+    if picture is not None:
+        raise InputError("--picture shows the impact speeds of a run: expected --from-run too, or leave it out")
     if overrides and case is None:
         raise InputError("--set needs a case whose values it replaces: name a case, or leave it out")
     if case is not None:
@@ -64,7 +90,18 @@ def kn(
             raise InputError(
                 f"{given[0]} and the case {case!r}: the case holds these numbers; expected one or the other"
             )
-        _kn_case(case, overrides or (), options, steps_per_contact, json=json)
+        from kncal.case_file import load_case
+
+        scene = load_case(case, overrides=overrides or ())
+        if scene.contact.measured is None and (out is not None or engine != "liggghts"):
+            raise InputError('--engine and --out are for a case with contact.v_0 = "measured": leave them out')
+        scene = measured(scene, out or Path("runs") / scene.name, engine=engine)
+        _kn_case(scene, uncertain or (), options, steps_per_contact, json=json)
+        return
+    if out is not None or engine != "liggghts":
+        raise InputError('--engine and --out are for a case with contact.v_0 = "measured": leave them out')
+    if uncertain:
+        _kn_flags_uncertain(flags, uncertain, method, options, json=json)
         return
     pair, v_0, e_n = flags.pair(), flags.speed(), flags.restitution()
     data = _kn_data(pair, v_0, e_n, flags.law, flags.end, options, steps_per_contact or 50.0)
@@ -81,11 +118,16 @@ def kn(
 class _CasePair(NamedTuple):
     """A pair of a case and what the case says about it; ``v_0`` and ``k_n`` may be None."""
 
-    name: str
+    names: tuple[str, str]
     pair: Pair
     e_n: float
     v_0: float | None
     k_n: float | None
+
+    @property
+    def name(self) -> str:
+        """Both names as one."""
+        return "–".join(self.names)
 
 
 def _pairs(scene: Scene | BedScene) -> Iterator[_CasePair]:
@@ -101,19 +143,43 @@ def _pairs(scene: Scene | BedScene) -> Iterator[_CasePair]:
         for (one, other), both in bed_pairs(scene).items():
             exception = scene.contact.exception((one, names[one]), (other, names[other]))
             numbers = numbers_of(scene.contact, exception)
-            yield _CasePair(f"{one}–{other}", both, numbers.e_n, numbers.v_0, numbers.k_n)
+            yield _CasePair((one, other), both, numbers.e_n, numbers.v_0, numbers.k_n)
         return
     from kncal.planning import pair_choice, pair_of
 
     for a, b in scene.body_pairs():
         e_n, _, v_0, k_n = pair_choice(scene, a, b)
-        yield _CasePair(f"{a.name}–{b.name}", pair_of(a, b), e_n, v_0, k_n)
+        yield _CasePair((a.name, b.name), pair_of(a, b), e_n, v_0, k_n)
 
 
-def _kn_case(case: str, overrides: Sequence[str], options: dict[str, Any], n: float | None, *, json: bool) -> None:
-    from kncal.case_file import load_case
+def _kn_flags_uncertain(
+    flags: ContactFlags, uncertain: Sequence[str], method: str, options: dict[str, Any], *, json: bool
+) -> None:
+    """Print how uncertain k_n of the contact that the flags describe is."""
+    from kncal.uncertainty import propagate
 
-    scene = load_case(case, overrides=overrides)
+    material, radius, pair_of = flags.bodies()
+    found = propagate(
+        texts(uncertain),
+        material=material,
+        radius=radius,
+        v_0=flags.v0,
+        e_n=flags.en,
+        pair_of=pair_of,
+        law=flags.law,
+        method=method,
+        end=flags.end,
+        **_own(method, options),
+    )
+    if json:
+        show.as_json({"method": method, "uncertain": found.to_dict()})
+    else:
+        print_propagation(f"{flags.title()}, {method}", found)
+
+
+def _kn_case(
+    scene: Scene | BedScene, uncertain: Sequence[str], options: dict[str, Any], n: float | None, *, json: bool
+) -> None:
     contact = scene.contact
     merged = options | dict(contact.method_options)
     steps = n or scene.run.steps_per_contact
@@ -123,6 +189,11 @@ def _kn_case(case: str, overrides: Sequence[str], options: dict[str, Any], n: fl
         if p.v_0 is not None:
             result[p.name] = _kn_data(p.pair, p.v_0, p.e_n, contact.law, contact.end, merged, steps)
         result[p.name]["k_n_prescribed"] = p.k_n
+    spreads = {
+        p.name: propagate_pair(scene, p.names, uncertain, e_n=p.e_n, v_0=p.v_0) for p in _pairs(scene) if uncertain
+    }
+    for name, spread in spreads.items():
+        result[name]["uncertain"] = spread.to_dict()
     if json:
         show.as_json({"case": scene.name, "method": scene.contact.method, "pairs": result})
         return
@@ -135,6 +206,9 @@ def _kn_case(case: str, overrides: Sequence[str], options: dict[str, Any], n: fl
             show.say(f"{name}: the case prescribes k_n = {show.quantity(data['k_n_prescribed'], 'N/m')}")
         else:
             show.say(f"{name}: the case uses the method {scene.contact.method}")
+        if name in spreads:
+            show.say()
+            print_propagation(f"{name}, {scene.contact.method}", spreads[name])
 
 
 def _kn_data(

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
@@ -78,6 +78,25 @@ class ContactFlags:
                 f"--radius-2 = {self.radius_2:g}: a wall is flat; expected no second radius with --against wall"
             )
         return wall_pair(first, radius, None if self.against == "rigid-wall" else second)
+
+    def bodies(self) -> tuple[Material, float, Callable[[Material, Any], Pair]]:
+        """Return the first body's material and radius, and what makes the pair of them.
+
+        A flag of the second body that is not given follows the first, also where that varies.
+        """
+        from kncal.material import pair, wall_pair
+
+        self.pair()  # refuses what is missing or wrong
+
+        def meet(material: Material, radius: Any) -> Pair:
+            changed = {"young": self.young_2, "poisson": self.poisson_2, "density": self.density_2}
+            given: dict[str, Any] = {key: value for key, value in changed.items() if value is not None}
+            second = replace(material, **given)
+            if self.against == "sphere":
+                return pair(material, radius, second, radius if self.radius_2 is None else self.radius_2)
+            return wall_pair(material, radius, None if self.against == "rigid-wall" else second)
+
+        return self._first(), _needed("--radius", self.radius), meet
 
     def matrix(self, method: str, options: Mapping[str, Any]) -> PairMatrix:
         """Return the calibrations of the pairs of these two bodies, for a deck: the flags' own contact among them."""

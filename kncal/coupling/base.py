@@ -131,6 +131,10 @@ class DemStep:
     contacts : number of particle-particle contacts (mean over the samples)
     overlap_max, overlap_mean : over the interval's samples of all particle-particle contacts [m]
     histogram : (bins,) counts of overlaps, summed over the samples; edges in `Dem.histogram_edges`
+    watched : time in which new contacts were watched for [s]
+    impacts : (2, bins) counts of the impact speeds of new contacts of two particles, and of a particle and a wall;
+        edges in `Dem.impact_edges`
+    impact_sums : (2, 3) sums over the same impacts of v [m/s], v² and v³
     """
 
     floor_force: float
@@ -139,12 +143,16 @@ class DemStep:
     overlap_max: float
     overlap_mean: float
     histogram: Array
+    watched: float
+    impacts: Array
+    impact_sums: Array
 
 
 class Dem(Protocol):
     """The particles at work: LIGGGHTS in a child process of its own."""
 
     histogram_edges: Array
+    impact_edges: Array
 
     def state(self) -> tuple[Array, Array]:
         """Return positions [m] and velocities [m/s], both (n, 3), by id."""

@@ -28,10 +28,12 @@ from kncal.bed.model import BedModel
 from kncal.checks import Array
 from kncal.coupling.base import DemStep
 from kncal.coupling.dem_child import LIBRARY, MAX_MESSAGE, SAVED_FORCES, Shared, histogram_edges
-from kncal.coupling.dem_deck import DECK, RESTART, as_rows, middle, write_deck
+from kncal.coupling.dem_deck import DECK, RESTART, as_rows, middle, sides, write_deck
+from kncal.coupling.impacts import speed_edges
 from kncal.errors import InputError, RunError, SolverMissingError
 from kncal.io.text import decode_line
 from kncal.runner import solver_environment
+from kncal.stopping import shielded_start
 
 LOG = "log.liggghts"
 #: What `LiggghtsDem.save` writes.
@@ -86,6 +88,7 @@ class LiggghtsDem:
     ) -> None:
         scene = model.scene
         self.histogram_edges = histogram_edges(scene.particles.diameter)
+        self.impact_edges = speed_edges()
         self._count = scene.particles.count
         self._plane = middle(scene) if scene.column.front_back == "layer" else None
         self._folder = folder
@@ -168,6 +171,9 @@ class LiggghtsDem:
             overlap_max=answer["overlap_max"],
             overlap_mean=answer["overlap_mean"],
             histogram=shared.histogram.copy(),
+            watched=answer["watched"],
+            impacts=shared.impacts.copy(),
+            impact_sums=shared.impact_sums.copy(),
         )
 
     def save(self, folder: Path) -> None:
@@ -219,6 +225,7 @@ class LiggghtsDem:
             "gravity": scene.gravity,
             "plane": self._plane,
             "period": scene.column.depth if scene.column.front_back == "periodic" else None,
+            "sides": sides(scene),
             "saved": SAVED_FORCES if restart else "",
         }
         environment = solver_environment() | {
@@ -235,16 +242,17 @@ class LiggghtsDem:
         except OSError as error:
             raise RunError(f"{self._log}: cannot be opened as the log ({error.strerror})") from error
         try:
-            return subprocess.Popen(  # noqa: S603 - a list of arguments, no shell
-                [*guard, sys.executable, "-P", "-m", "kncal.coupling.dem_child", json.dumps(arguments)],
-                cwd=self._folder,
-                env=environment,
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-                pass_fds=(channel, memory, *self._pass_fds),
-                process_group=0,
-            )
+            with shielded_start():
+                return subprocess.Popen(  # noqa: S603 - a list of arguments, no shell
+                    [*guard, sys.executable, "-P", "-m", "kncal.coupling.dem_child", json.dumps(arguments)],
+                    cwd=self._folder,
+                    env=environment,
+                    stdin=subprocess.DEVNULL,
+                    stdout=log,
+                    stderr=subprocess.STDOUT,
+                    pass_fds=(channel, memory, *self._pass_fds),
+                    process_group=0,
+                )
         except OSError as error:
             raise RunError(f"{sys.executable}: cannot be started ({error})") from error
         finally:

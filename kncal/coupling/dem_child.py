@@ -15,6 +15,7 @@ import os
 import resource
 import socket
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kncal.checks import Array
+from kncal.coupling.impacts import BINS, POWERS, Before, count_speeds, pair_speeds, wall_speeds
 
 LIBRARY = "libliggghts.so.3"
 #: Longest message [bytes].
@@ -30,8 +32,11 @@ MAX_MESSAGE = 1 << 16
 #: Overlaps are looked at about every so many steps, at least once in an interval and at its end. One look costs as much
 #: as 1.5 steps, so this is 4 % of the run.
 LOOK_EVERY = 40
+#: New contacts are watched for in the last step of an interval, about once in so many steps; that costs 2 or 3 steps.
+WATCH_EVERY = 80
 #: Overlap bins per decade, and the smallest overlap that is told apart from nothing, in diameters.
 BINS_PER_DECADE, DECADES = 20, 8
+_OVERLAP_BINS = DECADES * BINS_PER_DECADE + 1
 #: Output of the runs beyond so many bytes is dropped; that of the deck is kept.
 MAX_LOG = 1 << 16
 
@@ -46,24 +51,38 @@ def histogram_edges(diameter: float) -> Array:
 
 @dataclass(frozen=True)
 class Shared:
-    """The mapping that parent and child share: positions, velocities, gas forces (n, 3) by id, overlap histogram."""
+    """The mapping that parent and child share: positions, velocities, gas forces (n, 3) by id; what was looked at.
+
+    ``histogram``: (bins,) overlaps; ``impacts``: (2, bins) speeds of new contacts of two particles, and of a particle
+    and a wall (see `kncal.coupling.impacts`); ``impact_sums``: (2, 3) sums of v, v², v³ of both.
+    """
 
     x: Array
     v: Array
     force: Array
     histogram: Array
+    impacts: Array
+    impact_sums: Array
 
     @staticmethod
     def size(count: int) -> int:
         """Return the bytes that ``count`` particles need."""
-        return 8 * (9 * count + DECADES * BINS_PER_DECADE + 1)
+        return 8 * (9 * count + _OVERLAP_BINS + 2 * BINS + 2 * POWERS)
 
     @classmethod
     def over(cls, buffer: mmap.mmap, count: int) -> Shared:
         """Return views of ``buffer``, which keep it open."""
         numbers = np.frombuffer(buffer, dtype=np.float64)
         x, v, force = (numbers[3 * count * i : 3 * count * (i + 1)].reshape(count, 3) for i in range(3))
-        return cls(x=x, v=v, force=force, histogram=numbers[9 * count :])
+        histogram, impacts, sums = np.split(numbers[9 * count :], (_OVERLAP_BINS, _OVERLAP_BINS + 2 * BINS))
+        return cls(
+            x=x,
+            v=v,
+            force=force,
+            histogram=histogram,
+            impacts=impacts.reshape(2, BINS),
+            impact_sums=sums.reshape(2, POWERS),
+        )
 
 
 class Library:
@@ -146,14 +165,14 @@ class Library:
         self._libc.free(address)
         return value
 
-    def overlaps(self) -> Array:
-        """Return the overlap of every particle-particle contact now [m]."""
+    def contacts(self) -> Array:
+        """Return a row for every particle-particle contact now: both ids, whether across a period, overlap [m]."""
         total, mean = self.scalar("overlap_sum"), self.scalar("overlap_mean")
         if mean == 0.0:
-            return np.empty(0)
+            return np.empty((0, 4))
         # The library does not tell the number of rows of a local compute; sum over mean is it.
         address = self._lib.lammps_extract_compute(self._handle, b"contacts", 2, 2)
-        return self._table(address, round(total / mean), 4)[:, 3]
+        return self._table(address, round(total / mean), 4)
 
     def _global(self, name: str) -> int:
         return int(self._lib.lammps_extract_global(self._handle, name.encode()))
@@ -192,8 +211,7 @@ class Child:
         rows = self.lib.rows
         if len(rows) == len(self.shared.x):
             # By the inverse of rows: to take rows of three is ten times quicker than to put them.
-            places = np.empty_like(rows)
-            places[rows] = np.arange(len(rows))
+            places = _inverse(rows)
             for name, to in (("x", self.shared.x), ("v", self.shared.v)):
                 self.lib.vectors(name).take(places, axis=0, out=to, mode="clip")
             if self.given["period"] is not None:
@@ -219,11 +237,12 @@ class Child:
             self._fresh = False
         self.lib.vectors("dragforce")[:] = force
         before, first, momentum = self._sum(), self._floor, self._momentum()
-        self.shared.histogram[:] = 0.0
+        for sums in (self.shared.histogram, self.shared.impacts, self.shared.impact_sums):
+            sums[:] = 0.0
+        self._watched = 0.0
         number, total, largest, samples = 0, 0.0, 0.0, 0
-        for part in split(steps, max(1, round(steps / LOOK_EVERY))):
-            self.lib.command(f"run {part} pre no post no")
-            overlaps = self.lib.overlaps()
+        for contacts in self._looks(steps):
+            overlaps = contacts[:, 3]
             samples += 1
             if len(overlaps):
                 number, total = number + len(overlaps), total + float(overlaps.sum())
@@ -243,6 +262,7 @@ class Child:
             "contacts": number / samples,
             "overlap_max": largest,
             "overlap_mean": total / number if number else 0.0,
+            "watched": self._watched,
         }
 
     def save(self) -> dict[str, Any]:
@@ -257,6 +277,50 @@ class Child:
         self.lib.command("run 0 post no")
         self._restore(Path(SAVED_FORCES))
         return {}
+
+    def _looks(self, steps: int) -> Iterator[Array]:
+        """Run, and give the contacts (see `Library.contacts`) on the way and at the end; they are gone at the next."""
+        *parts, last = split(steps, max(1, round(steps / LOOK_EVERY)))
+        for part in parts:
+            self._advance(part)
+            yield self.lib.contacts()
+        # by the count of all steps, so that a continued run watches in the same intervals
+        end = self.lib.step + last
+        watched = end // WATCH_EVERY > (end - steps) // WATCH_EVERY
+        self._advance(last - 1 if watched else last)
+        earlier = self._before() if watched else None
+        self._advance(1 if watched else 0)
+        contacts = self.lib.contacts()
+        if earlier is not None:
+            self._see_impacts(earlier, contacts)
+        yield contacts
+
+    def _advance(self, steps: int) -> None:
+        if steps > 0:
+            self.lib.command(f"run {steps} pre no post no")
+
+    def _before(self) -> Before | None:
+        """Copy what the impact speeds of the next step's new contacts are made of; None if particles are lost."""
+        rows = self.lib.rows
+        if len(rows) != len(self.shared.x):
+            return None
+        x, v, force = (self.lib.vectors(name).copy() for name in ("x", "v", "f"))
+        return Before(x=x, v=v, force=force, row=_inverse(rows), mass=float(self.lib.masses[0]))
+
+    def _see_impacts(self, before: Before, contacts: Array) -> None:
+        """Count the impact speeds of the contacts that began in the last step."""
+        rows = self.lib.rows
+        if len(rows) != len(self.shared.x):
+            return  # the parent will end this run
+        self._watched = float(self.given["dt"])
+        first, second = (contacts[:, k].astype(np.intp) - 1 for k in (0, 1))
+        period = self.given["period"] or 0.0
+        pairs = pair_speeds(before, first, second, self._diameter, period)
+        walls = wall_speeds(before, self.lib.vectors("x"), rows, self.given["sides"], 0.5 * self._diameter)
+        for kind, speeds in enumerate((pairs, walls)):
+            if len(speeds):
+                self.shared.impacts[kind] += count_speeds(speeds)
+                self.shared.impact_sums[kind] += [(speeds**power).sum() for power in (1, 2, 3)]
 
     def _restore(self, path: Path) -> None:
         rows = self.lib.rows
@@ -288,6 +352,13 @@ class Child:
             place = np.floor((np.log10(overlaps / self._diameter) + DECADES) * BINS_PER_DECADE) + 1.0
         last = DECADES * BINS_PER_DECADE
         return np.bincount(np.clip(place, 0, last).astype(np.intp), minlength=last + 1).astype(np.float64)
+
+
+def _inverse(rows: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return the row of LIGGGHTS for each row of the callers' arrays."""
+    places = np.empty_like(rows)
+    places[rows] = np.arange(len(rows))
+    return places
 
 
 def split(steps: int, parts: int) -> list[int]:

@@ -13,6 +13,7 @@ import numpy as np
 from kncal.bed.model import BedModel
 from kncal.bed.scene import DEPTHS, BedScene
 from kncal.checks import Array
+from kncal.coupling.impacts import Side
 from kncal.engines.liggghts_checks import expect, expect_same
 from kncal.engines.liggghts_deck import HARD_LIMIT, RIGID, SOFT_LIMIT, tsuji_restitution
 from kncal.errors import RenderError
@@ -231,6 +232,12 @@ def walls(scene: BedScene) -> list[Entry]:
     if column.front_back == "walls":
         places += [("y", 0, 0.0), ("y", 1, column.depth)]
     return [{"name": f"wall_{axis}{end}", "plane": f"{axis}plane", "position": at} for axis, end, at in places]
+
+
+def sides(scene: BedScene) -> list[Side]:
+    """Return the pairs of walls of the column: axis, and coordinate of the second wall [m]; the first is at 0."""
+    column = scene.column
+    return [(0, column.width), (2, column.height)] + ([(1, column.depth)] if column.front_back == "walls" else [])
 
 
 def middle(scene: BedScene) -> float:

@@ -13,8 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
+from kncal.bed.facts import bed_facts
 from kncal.bed.model import BedModel
-from kncal.bed.series import SeriesWriter, bed_facts
+from kncal.bed.series import SeriesWriter
 from kncal.checks import Array
 from kncal.coupling.base import Dem, GasSetup, GasStep, GasTransport
 from kncal.coupling.checkpoint import write_checkpoint
@@ -135,7 +136,7 @@ class CoupledRun:
                 wall=before.get("wall", 0.0) + time.monotonic() - started,
             )
 
-        facts = bed_facts(model, self._edges)
+        facts = bed_facts(model, self._edges, None if self.dem is None else self.dem.impact_edges)
         with stop_where_it_suits() as stop, SeriesWriter(self.folder / "series", facts) as series:
             x, v = self._state()
             if self._first == 0 and self.gas is None:

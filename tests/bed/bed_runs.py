@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from kncal.bed.series import UNITS, BedFacts, BedSeries
+from kncal.bed.facts import BedFacts
+from kncal.bed.series import UNITS, BedSeries
 
 EDGES = tuple(float(edge) for edge in np.linspace(0.0, 1e-4, 201))
 
@@ -44,6 +45,9 @@ def series(of: BedFacts, couplings: int, **arrays: Any) -> BedSeries:
     number = every * np.arange(1, frames + 1)
     rest: dict[str, Any] = {
         "histogram": np.zeros((couplings, len(of.histogram_edges) - 1), dtype=np.int64),
+        "watched": np.zeros(couplings),
+        "impacts": np.zeros((couplings, 2, of.impact_bins), dtype=np.int32),
+        "impact_sums": np.zeros((couplings, 2, 3)),
         "frame_coupling": number,
         "t_frame": number * of.coupling,
         "x": np.zeros((frames, of.count, 3)),

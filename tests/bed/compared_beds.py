@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kncal.bed.compare import BedRunData
+from kncal.bed.facts import bed_facts
 from kncal.bed.planning import plan_bed
 from kncal.bed.scene import BedParticles, BedRun, BedScene, Column, Gas
-from kncal.bed.series import BedSeries, bed_facts
+from kncal.bed.series import BedSeries
 from kncal.engines.base import RunResult
 from kncal.material import Material
 from kncal.scene import ContactChoice
@@ -111,6 +112,9 @@ def run_data(
         solids_error=np.full(n, 1e-16),
         eps_g_min=np.full(n, 0.35),
         courant_max=np.full(n, 0.4),
+        watched=np.zeros(n),
+        impacts=np.zeros((n, 2, 0), dtype=np.int32),
+        impact_sums=np.zeros((n, 2, 3)),
         histogram=np.stack([np.histogram(row, edges)[0] for row in overlaps]).astype(np.int64),
         frame_coupling=frames.astype(np.int64),
         t_frame=COUPLING * frames,

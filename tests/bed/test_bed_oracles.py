@@ -14,12 +14,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kncal.bed.compare import compare_beds
+from kncal.bed.facts import BedFacts
 from kncal.bed.metrics import BED_METRICS, KINDS_OF_BEDS, NOT_AVERAGED, why_not
 from kncal.bed.observe import observe_bed
 from kncal.bed.packed import ergun_plateaus
 from kncal.bed.ramp import PACKED, fluidization_curve
 from kncal.bed.scene import Gas
-from kncal.bed.series import BedFacts, BedSeries
+from kncal.bed.series import BedSeries
 from kncal.bed.single import final_velocity
 from kncal.errors import InputError
 from kncal.fluidization import (

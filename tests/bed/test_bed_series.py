@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from kncal.bed.series import UNITS, SeriesWriter, read_series, write_series_csv
 from kncal.coupling.base import DemStep, GasFields, GasStep
 from kncal.errors import InputError, ReadError
 
-SMALL = facts(count=20, cells=(3, 2, 4), histogram_edges=(0.0, 1e-6, 1e-5, 1e-4))
+SMALL = facts(count=20, cells=(3, 2, 4), histogram_edges=(0.0, 1e-6, 1e-5, 1e-4), impact_edges=(0.0, 0.1, 1.0))
 
 
 def state(number: int) -> tuple[np.ndarray, np.ndarray]:
@@ -39,6 +40,9 @@ def steps(number: int) -> tuple[GasStep, DemStep]:
         overlap_max=3e-6,
         overlap_mean=1e-6,
         histogram=np.array([number, 2, 1]),
+        watched=1e-5,
+        impacts=np.array([[number, 0], [1, 2]]),
+        impact_sums=np.full((2, 3), 0.1 * number),
     )
     return gas, dem
 
@@ -83,6 +87,9 @@ def test_everything_comes_back(tmp_path):
     np.testing.assert_allclose(found.not_passed, 2e-6)
     np.testing.assert_array_equal(found.walls, -0.02)
     np.testing.assert_array_equal(found.histogram[:, 0], np.arange(1, 9))
+    np.testing.assert_array_equal(found.impacts[:, 0, 0], np.arange(1, 9))
+    np.testing.assert_allclose(found.impact_sums[:, 1, 2], 0.1 * np.arange(1, 9))
+    np.testing.assert_array_equal(found.watched, 1e-5)
     mass = SMALL.density * np.pi / 6.0 * SMALL.diameter**3
     for row, number in enumerate(range(1, 9)):
         x, v = state(number)
@@ -95,6 +102,27 @@ def test_everything_comes_back(tmp_path):
     np.testing.assert_array_equal(found.v[2], state(6)[1].astype(np.float32))
     np.testing.assert_array_equal(found.p[3], np.full((4, 2, 3), 8.0))
     assert found.U.shape == (4, 4, 2, 3, 3)
+
+
+def test_a_run_without_a_record_of_impacts_is_read_and_goes_on_without(tmp_path):
+    """What an earlier kncal wrote: neither the key in the facts nor the arrays."""
+    old = replace(SMALL, impact_edges=())
+    with SeriesWriter(tmp_path, old) as writer:
+        write(writer, 1, 4)
+    facts_of = json.loads((tmp_path / "facts.json").read_text())
+    del facts_of["impact_edges"]
+    (tmp_path / "facts.json").write_text(json.dumps(facts_of))
+    with np.load(tmp_path / "piece-00000.npz") as piece:
+        kept = {name: piece[name] for name in piece.files if name not in ("watched", "impacts", "impact_sums")}
+    np.savez(tmp_path / "piece-00000.npz", **kept)
+    assert read_series(tmp_path).impacts.shape == (4, 2, 0)
+    with SeriesWriter(tmp_path, SMALL) as writer:
+        write(writer, 5, 6)
+    found = read_series(tmp_path)
+    assert found.facts == old
+    assert found.impacts.shape == (6, 2, 0)
+    assert not found.watched.any()
+    np.testing.assert_array_equal(found.histogram[:, 0], np.arange(1, 7))
 
 
 def test_a_run_that_dies_keeps_what_was_flushed(tmp_path):

@@ -27,7 +27,7 @@ from kncal.errors import CaseFileError
 
 pytestmark = pytest.mark.solver
 
-NUMBERS = ("p_in", "drag_z", "floor", "z_mean", "kinetic_energy", "overlap_max", "momentum_z")
+NUMBERS = ("p_in", "drag_z", "floor", "z_mean", "kinetic_energy", "overlap_max", "momentum_z")  # of every coupling
 
 
 def mini(end_time: float, count: int = 400) -> BedScene:
@@ -39,7 +39,8 @@ def mini(end_time: float, count: int = 400) -> BedScene:
 
 
 def numbers(series: BedSeries) -> np.ndarray:
-    return np.array([getattr(series, name) for name in NUMBERS])
+    impacts = [array.reshape(len(series.t), -1).T for array in (series.impacts, series.impact_sums)]
+    return np.vstack([*(getattr(series, name) for name in NUMBERS), series.watched, *impacts])
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ restart   the same bed with DPMFoam started anew for each coupling, against as m
           folder. Target: at most 20 % more, without the start of the Python processes.
 jet       bubbling_bed, live, 37 DEM steps per coupling, 0.3 s. Targets: at most 1.10 times what the two solvers need by
           themselves, and 60 CPU s per simulated second where LIGGGHTS needs 0.16 µs per particle and step.
-overlaps  the share of the looks at the overlaps in the DEM time. Target: at most 10 %.
+overlaps  the share of the looks at overlaps and new contacts in the DEM time. Target: at most 10 %.
 growth    3000 to 100 000 particles on a lattice in wider and wider columns: slope of the cost, memory. Target: linear.
 
 What the exchange adds inside LIGGGHTS' process and inside DPMFoam is measured as coupling_parts.py says, close together

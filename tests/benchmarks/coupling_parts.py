@@ -37,9 +37,10 @@ from kncal.bed.planning import plan_bed
 from kncal.checks import Array
 from kncal.coupling import adapter_build, dem_child
 from kncal.coupling.base import GasSetup
-from kncal.coupling.dem_deck import DECK, middle, write_deck
+from kncal.coupling.dem_deck import DECK, middle, sides, write_deck
 from kncal.coupling.forces import Exchange
 from kncal.coupling.gas_case import SOLVER, case_environment, make_mesh, write_case
+from kncal.coupling.impacts import Before
 from kncal.coupling.live import LiveGas
 from kncal.io.openfoam import write_parcel_constants, write_parcel_motion
 from kncal.runner import run_process, solver_environment
@@ -110,6 +111,7 @@ def dem_pair(model: BedModel, x: Array, rounds: int) -> DemPair:
             "gravity": scene.gravity,
             "plane": middle(scene) if layer else None,
             "period": scene.column.depth if periodic else None,
+            "sides": sides(scene),
             "count": scene.particles.count,
             "steps": model.steps_per_coupling,
         }
@@ -132,7 +134,7 @@ def hold(rounds: int) -> None:
     shared = dem_child.Shared.over(mmap.mmap(-1, dem_child.Shared.size(count)), count)
     lib, often = Sighted(), dem_child.LOOK_EVERY
     start = own_cpu()
-    child = dem_child.Child(lib, shared, given)
+    child = Looking(lib, shared, given)
     shared.force[:, 2] = 0.9 * lib.masses.mean() * given["gravity"]
     child.run(steps)
 
@@ -151,12 +153,19 @@ def hold(rounds: int) -> None:
 
 
 class Sighted(dem_child.Library):
-    """LIGGGHTS whose overlaps can be left alone."""
+    """LIGGGHTS whose contacts can be left alone."""
 
     looks = True
 
-    def overlaps(self) -> Array:
-        return super().overlaps() if self.looks else np.empty(0)
+    def contacts(self) -> Array:
+        return super().contacts() if self.looks else np.empty((0, 4))
+
+
+class Looking(dem_child.Child):
+    """A child that can be kept from looking for new contacts."""
+
+    def _before(self) -> Before | None:
+        return super()._before() if self.lib.looks else None
 
 
 def gas_pair(setup: GasSetup, x: Array, diameter: float, density: float, steps: int) -> tuple[float, float, float]:

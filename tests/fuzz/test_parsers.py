@@ -20,8 +20,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kncal.bed.case_file import parse_bed
+from kncal.bed.facts import BedFacts
 from kncal.bed.planning import plan_bed
-from kncal.bed.series import BedFacts, read_series
+from kncal.bed.series import read_series
 from kncal.case_file import load_case, shipped_cases
 from kncal.case_text import find_case
 from kncal.errors import KncalError

@@ -1,0 +1,205 @@
+"""What ``kncal kn`` does with the speeds of a run (``--from-run``) and with uncertain inputs (``--uncertain``)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from kncal.cli import show
+from kncal.errors import InputError, ReadError
+
+if TYPE_CHECKING:
+    from kncal.impact_speeds import Estimate, ImpactSpeeds
+    from kncal.material import Material, Pair
+    from kncal.run_speeds import RunSpeeds
+    from kncal.uncertainty import Distribution, Propagation
+
+FromRun = Annotated[
+    Path | None,
+    Parameter(
+        name="--from-run",
+        help="a model's run folder, or a case's with both: the impact speeds it had, and k_n at them",
+    ),
+]
+Uncertain = Annotated[
+    list[str] | None,
+    Parameter(
+        name="--uncertain",
+        negative="",
+        help="KEY=5%, KEY=LOW:HIGH or KEY=log:LOW:HIGH for young, poisson, density, radius, e_n or v_0 (may be "
+        "repeated): the distribution of k_n; with --from-run v_0 is as measured",
+    ),
+]
+Picture = Annotated[
+    Path | None, Parameter(name="--picture", help="with --from-run: draw the impact speeds into this .png or .svg")
+]
+
+_WHO = {"particles": "two particles", "walls": "a particle and a wall", "all": "all contacts"}
+
+
+def kn_from_run(folder: Path, uncertain: Sequence[str], picture: Path | None, *, json: bool) -> None:
+    """Print the impact speeds of a run and k_n at them."""
+    from kncal.folder import MANIFEST
+    from kncal.impact_speeds import plot_impact_speeds
+    from kncal.model import KINDS
+    from kncal.run_speeds import run_speeds
+
+    if not folder.is_dir():
+        raise ReadError(f"{folder}: no such folder; expected a run folder, e.g. runs/wall_impact")
+    found = [folder / kind for kind in KINDS if (folder / kind / MANIFEST).is_file()] or [folder]
+    runs = [run_speeds(path) for path in found]
+    if picture is not None:
+        main = runs[0]
+        plot_impact_speeds(main.speeds, picture, f"{main.scene.name}, {main.model}: impact speeds")
+    spreads = [_spreads_of_run(run, uncertain) if uncertain else {} for run in runs]
+    if json:
+        data = [
+            run.to_dict() | {"folder": str(path), "uncertain": {k: p.to_dict() for k, p in spread.items()}}
+            for run, path, spread in zip(runs, found, spreads, strict=True)
+        ]
+        show.as_json({"case": runs[0].scene.name, "method": runs[0].scene.contact.method, "runs": data})
+        return
+    for run, spread in zip(runs, spreads, strict=True):
+        _print_run(run)
+        for kind, propagation in spread.items():
+            print_propagation(f"{_WHO[kind]}, {run.model}", propagation)
+    if picture is not None:
+        show.say(f"picture: {picture}")
+
+
+def _print_run(run: RunSpeeds) -> None:
+    from kncal.impact_speeds import STATISTICS
+
+    contact = run.scene.contact
+    for kind, found in run.speeds.items():
+        pair = run.pairs[kind]
+        window = f"{show.quantity(run.begin, 's')} to {show.quantity(run.end, 's')}"
+        if not found.count:
+            show.say(f"{run.scene.name}, {run.model}, {_WHO[kind]}: no impact was seen in {window}\n")
+            continue
+        rows = []
+        doubts: dict[str, list[str]] = {}
+        for row in run.stiffness(kind):
+            stiffness = [row.problem, ""] if row.k_n is None else [show.quantity(row.k_n.value, "N/m"), _width(row.k_n)]
+            rows.append([STATISTICS[row.statistic], f"{row.v_0.value:.4g}", _width(row.v_0), *stiffness])
+            for why in filter(None, row.v_0.why.split("; ")):
+                doubts.setdefault(why, []).append(STATISTICS[row.statistic])
+        who = "–".join(pair.names) if kind == "all" else _WHO[kind]
+        show.table(
+            f"{run.scene.name}, {run.model}, {who}: {found.count} impacts in {window}",
+            ["impact speed", "v_0 [m/s]", "95 %", f"k_n by {contact.method}", "95 % [N/m]"],
+            rows,
+        )
+        for why, names in doubts.items():
+            show.say(f"  not to be relied on ({', '.join(names)}): {why}")
+        at = "no speed" if pair.contact.v_0 is None else show.quantity(pair.contact.v_0, "m/s")
+        given = "" if pair.numbers.k_n is None else f"; it prescribes k_n = {show.quantity(pair.numbers.k_n, 'N/m')}"
+        show.say(f"  the run was calibrated at {at}{given}\n")
+    if run.enduring is not None:
+        show.say(
+            f"  contacts of two particles last {run.enduring.duration:.3g} t_c in the mean; at any moment at least "
+            f"{100.0 * run.enduring.share:.0f} % of them are older than an impact lasts: no impact speed describes "
+            "those\n"
+        )
+
+
+def _width(estimate: Estimate) -> str:
+    return f"{estimate.low:.4g} … {estimate.high:.4g}" if estimate.high > estimate.low else ""
+
+
+def _spreads_of_run(run: RunSpeeds, uncertain: Sequence[str]) -> dict[str, Propagation]:
+    """Propagate the measured speeds and what else is uncertain, for each kind of impacts."""
+    spreads = {}
+    for kind, found in run.speeds.items():
+        if found.count:
+            pair = run.pairs[kind]
+            spreads[kind] = propagate_pair(run.scene, pair.names, uncertain, found, e_n=pair.numbers.e_n)
+    return spreads
+
+
+def propagate_pair(
+    scene: Any,
+    names: tuple[str, str],
+    uncertain: Sequence[str],
+    measured: ImpactSpeeds | None = None,
+    *,
+    e_n: float,
+    v_0: float | None = None,
+) -> Propagation:
+    """Propagate the uncertainty of the first body of a pair of a case; a second of the same material varies with it."""
+    from kncal.uncertainty import MeasuredSpeeds, propagate
+
+    material, radius, pair_of = _bodies(scene, names)
+    given: dict[str, str | Distribution] = {} if measured is None else {"v_0": MeasuredSpeeds(measured)}
+    given |= texts(uncertain)
+    contact = scene.contact
+    return propagate(
+        given,
+        material=material,
+        radius=radius,
+        v_0=v_0,
+        e_n=e_n,
+        pair_of=pair_of,
+        law=contact.law,
+        method=contact.method,
+        end=contact.end,
+        **contact.method_options,
+    )
+
+
+def texts(uncertain: Sequence[str]) -> dict[str, str]:
+    """Return KEY -> text of every ``KEY=TEXT``."""
+    found: dict[str, str] = {}
+    for text in uncertain:
+        key, sign, value = text.partition("=")
+        if not sign:
+            raise InputError(f"--uncertain {text}: expected KEY=5%, KEY=LOW:HIGH or KEY=log:LOW:HIGH")
+        if key in found:
+            raise InputError(f"--uncertain {text}: {key} is given twice: expected one distribution")
+        found[key] = value
+    return found
+
+
+def _bodies(scene: Any, names: tuple[str, str]) -> tuple[Material, float, Callable[[Material, Any], Pair]]:
+    from kncal.bed.scene import BedScene
+    from kncal.material import pair
+    from kncal.scene import Wall
+
+    if isinstance(scene, BedScene):
+        material, radius = scene.particles.material, 0.5 * scene.particles.diameter
+        wall = scene.column.wall_material
+        return material, radius, pair if names[0] == names[1] else _on_wall(material, wall)
+    a, b = next((a, b) for a, b in scene.body_pairs() if (a.name, b.name) == names)
+    if isinstance(b, Wall):
+        return a.material, a.radius, _on_wall(a.material, b.material)
+    same, other, radius_2 = b.material == a.material, b.material, b.radius
+    equal = same and b.radius == a.radius
+
+    def meet(material: Material, radius: Any) -> Pair:
+        return pair(material, radius, material if same else other, radius if equal else radius_2)
+
+    return a.material, a.radius, meet
+
+
+def _on_wall(material: Material, wall: Material | None) -> Callable[[Material, Any], Pair]:
+    from kncal.material import wall_pair
+
+    return lambda sampled, radius: wall_pair(sampled, radius, sampled if wall == material else wall)
+
+
+def print_propagation(title: str, found: Propagation) -> None:
+    """Print the quantiles of k_n and the shares of its variance."""
+    rows = [
+        [f"{100.0 * share:g} %", show.quantity(value.value, "N/m"), _width(value)]
+        for share, value in found.quantiles.items()
+    ]
+    show.table(f"{title}: distribution of k_n ({found.samples} samples)", ["quantile", "k_n", "95 % [N/m]"], rows)
+    shares: Mapping[str, Estimate] = found.total
+    rows = [
+        [name, f"{100.0 * found.first_order[name].value:.1f} %", f"{100.0 * total.value:.1f} %", total.why]
+        for name, total in sorted(shares.items(), key=lambda item: -item[1].value)
+    ]
+    show.table("share of the variance of ln k_n", ["input", "by itself", "in all", ""], rows, text=(0, 3))

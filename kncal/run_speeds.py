@@ -1,0 +1,157 @@
+"""The impact speeds of one run, read from its folder, and the stiffness that its case's method gives at them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from kncal.bed.scene import BedScene
+from kncal.errors import InputError
+from kncal.folder import read_model_folder
+from kncal.impact_speeds import (
+    Enduring,
+    ImpactSpeeds,
+    StiffnessAt,
+    bed_impact_speeds,
+    contact_impact_speeds,
+    enduring,
+    stiffness_at,
+)
+from kncal.material import Pair
+from kncal.model import PairContact
+from kncal.pair_contact import PairNumbers, numbers_of
+from kncal.scene import Scene
+
+
+@dataclass(frozen=True, kw_only=True)
+class MetPair:
+    """Two bodies that met in a run: what they are called, their pair, the case's numbers, the contact that ran."""
+
+    names: tuple[str, str]
+    both: Pair
+    numbers: PairNumbers
+    contact: PairContact
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunSpeeds:
+    """What one run says about impact speeds.
+
+    Attributes
+    ----------
+    scene, model : of the run, model "linear" or "hertz"
+    begin, end : of the time that counts [s]; of single contacts all of it
+    speeds : "particles" and "walls" of a bed, "all" of single contacts -> ImpactSpeeds
+    pairs : the same keys -> MetPair (of single contacts the first that met)
+    enduring : of a bed's contacts, or None
+    """
+
+    scene: Scene | BedScene
+    model: str
+    begin: float
+    end: float
+    speeds: Mapping[str, ImpactSpeeds]
+    pairs: Mapping[str, MetPair]
+    enduring: Enduring | None
+
+    @property
+    def main(self) -> str:
+        """The key of the impacts that a case is calibrated at: of two particles, where there are any."""
+        return next((kind for kind, found in self.speeds.items() if found.count), next(iter(self.speeds)))
+
+    def stiffness(self, kind: str) -> tuple[StiffnessAt, ...]:
+        """Return k_n at the three speeds of one key of ``speeds``."""
+        pair = self.pairs[kind]
+        return stiffness_at(self.speeds[kind], self.scene.contact, pair.both, pair.numbers)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything, ready for JSON."""
+        return {
+            "model": self.model,
+            "begin": self.begin,
+            "end": self.end,
+            "enduring": None if self.enduring is None else asdict(self.enduring),
+            "impacts": {
+                kind: found.to_dict()
+                | {
+                    "between": list(self.pairs[kind].names),
+                    "calibrated_at": {"v_0": self.pairs[kind].contact.v_0, "k_n": self.pairs[kind].numbers.k_n},
+                    "k_n": [asdict(row) for row in self.stiffness(kind)],
+                }
+                for kind, found in self.speeds.items()
+            },
+        }
+
+
+def run_speeds(folder: Path) -> RunSpeeds:
+    """Return the impact speeds of the completed run in a model's folder, e.g. ``runs/wall_impact/linear``.
+
+    Raises
+    ------
+    ReadError, RunError
+        If there is no such run, or it did not complete.
+    InputError
+        If it has no record of impact speeds.
+    """
+    scene, _, _ = read_model_folder(folder)
+    try:
+        return _of_bed(folder) if isinstance(scene, BedScene) else _of_contacts(folder)
+    except InputError as error:
+        raise InputError(f"{folder}: {error}") from error
+
+
+def _of_bed(folder: Path) -> RunSpeeds:
+    from kncal.bed.observe import window_start
+    from kncal.bed.planning import PARTICLES, WALLS, bed_pairs
+    from kncal.bed.workflow import load_bed_run
+
+    data = load_bed_run(folder)
+    scene, series = data.model.scene, data.series
+    begin, _, doubt = window_start(series, scene.run.discard)
+    wall = scene.column.wall_material
+    materials = {PARTICLES: scene.particles.material.name, WALLS: "rigid" if wall is None else wall.name}
+    speeds = bed_impact_speeds(series, begin, doubt)
+    pairs = {
+        names[1]: MetPair(
+            names=names,
+            both=both,
+            numbers=numbers_of(
+                scene.contact,
+                scene.contact.exception((names[0], materials[names[0]]), (names[1], materials[names[1]])),
+            ),
+            contact=data.model.contacts[names],
+        )
+        for names, both in bed_pairs(scene).items()
+    }
+    return RunSpeeds(
+        scene=scene,
+        model=data.model.kind,
+        begin=begin,
+        end=float(series.t[-1]),
+        speeds=speeds,
+        pairs=pairs,
+        enduring=enduring(series, begin, pairs[PARTICLES].contact.t_c),
+    )
+
+
+def _of_contacts(folder: Path) -> RunSpeeds:
+    from kncal.planning import pair_choice, pair_of
+    from kncal.workflow import load_run
+
+    data = load_run(folder)
+    scene, contacts = data.model.scene, data.observations.contacts
+    pairs = {(a.name, b.name): (a, b) for a, b in scene.body_pairs()}
+    names = next((contact.pair for contact in contacts if contact.v_in > 0.0), next(iter(pairs)))
+    a, b = pairs[names]
+    met = MetPair(names=names, both=pair_of(a, b), numbers=pair_choice(scene, a, b), contact=data.model.contacts[names])
+    return RunSpeeds(
+        scene=scene,
+        model=data.model.kind,
+        begin=0.0,
+        end=data.model.t_end,
+        speeds={"all": contact_impact_speeds(contacts)},
+        pairs={"all": met},
+        enduring=None,
+    )
