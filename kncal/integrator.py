@@ -23,6 +23,7 @@ from kncal.errors import RenderError, RunError
 from kncal.flight import pair_touch_time, wall_touch_time
 from kncal.material import sphere_mass
 from kncal.model import Model, PairContact
+from kncal.passages import PASSED_THROUGH
 from kncal.scene import AXES, Wall
 from kncal.trajectory import Trajectory
 
@@ -257,7 +258,7 @@ def _wall_contact(model: Model, contact: PairContact, motion: _Motion, i: int, w
             s_b = s_c = 0.0
             return -delta
         if distance <= 0.0:
-            raise RunError(_through(who))
+            raise RunError(_through(who), PASSED_THROUGH)
         f_n = law(delta, -side * v[n])
         force[n] += side * f_n
         if mu == 0.0:
@@ -299,7 +300,7 @@ def _pair_contact(model: Model, contact: PairContact, motion: _Motion, i: int, j
             friction.forget()
             return -delta
         if distance <= nearest:
-            raise RunError(_through(who))
+            raise RunError(_through(who), PASSED_THROUGH)
         n_0, n_1, n_2 = d_0 / distance, d_1 / distance, d_2 / distance
         v_0, v_1, v_2 = v[i0] - v[j0], v[i1] - v[j1], v[i2] - v[j2]
         v_n = v_0 * n_0 + v_1 * n_1 + v_2 * n_2

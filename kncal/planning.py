@@ -17,6 +17,7 @@ from kncal.model import KINDS, Model, PairContact
 from kncal.needs import Needs, decide
 from kncal.pair_contact import PairNumbers, Rest, calibration_for, numbers_of, pair_contact, smooth
 from kncal.scene import Particle, Scene, Wall
+from kncal.scene_limits import require_possible_scene
 
 #: More steps than this are refused before the run rather than after a day.
 MOST_STEPS = 500_000_000
@@ -35,11 +36,14 @@ def plan(scene: Scene, kinds: Iterable[str] = KINDS) -> dict[str, Model]:
     Raises
     ------
     CaseFileError
-        If no impact speed can be found, or the run would need more than `MOST_STEPS` steps.
+        If no impact speed can be found, the run would need more than `MOST_STEPS` steps, or something is sure to go
+        through something else (`kncal.scene_limits`).
     """
     kinds = tuple(kinds)
     needs = decide(scene)
     models = {kind: _model(scene, kind, needs) for kind in KINDS}
+    for kind in kinds:
+        require_possible_scene(models[kind])
     t_end = scene.run.until_time
     if t_end is None:
         t_end = _bounced(_Known(repr(scene), models))
@@ -115,7 +119,8 @@ def _model(scene: Scene, kind: str, needs: Needs) -> Model:
             speeds.append(first_impact_speed(scene))
         return speeds[0]
 
-    contacts = {(a.name, b.name): _contact(scene, a, b, kind, first_speed) for a, b in scene.body_pairs()}
+    known: dict[tuple[object, ...], PairContact] = {}
+    contacts = {(a.name, b.name): _contact(scene, a, b, kind, first_speed, known) for a, b in scene.body_pairs()}
     uses = {name: needs.uses(name) for name in ("tangential", "rolling")}
     contacts = {names: smooth(c, **uses) for names, c in contacts.items()}
     shortest = min(c.t_c for c in contacts.values())
@@ -146,10 +151,21 @@ def _timed(model: Model, t_end: float) -> Model:
 
 
 def _contact(
-    scene: Scene, a: Particle, b: Particle | Wall, kind: str, first_speed: Callable[[Scene], float | None]
+    scene: Scene,
+    a: Particle,
+    b: Particle | Wall,
+    kind: str,
+    first_speed: Callable[[Scene], float | None],
+    known: dict[tuple[object, ...], PairContact],
 ) -> PairContact:
-    both = pair_of(a, b)
-    rest = Rest(initial_overlap(a, b), float(both.m_eff) * float(np.linalg.norm(scene.gravity)))
-    names = f"{a.name!r} and {b.name!r}"
+    """Return the contact of two bodies; like ones are made once (n spheres have n² pairs) and kept in ``known``."""
+    other = None if isinstance(b, Wall) else b.radius
+    overlap = max(initial_overlap(a, b), 0.0)  # of a gap nothing depends
     numbers = pair_choice(scene, a, b, first_speed)
-    return pair_contact(scene.contact, both, numbers, kind, rest, scene=scene.name, names=names)
+    key = (a.material, a.radius, b.material, other, overlap, numbers)
+    if key not in known:
+        both = pair_of(a, b)
+        rest = Rest(overlap, float(both.m_eff) * float(np.linalg.norm(scene.gravity)))
+        names = f"{a.name!r} and {b.name!r}"
+        known[key] = pair_contact(scene.contact, both, numbers, kind, rest, scene=scene.name, names=names)
+    return known[key]

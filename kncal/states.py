@@ -25,6 +25,7 @@ ADVICE: Mapping[str, str] = {
     "killed": "the same command again; if it was killed for want of memory, run fewer at a time",
     "disk-full": "make room (kncal clean), then the same command again",
     "lost-particles": "they passed a wall or each other: a stiffer contact, or more run.steps_per_contact",
+    "passed-through": "a stiffer contact for such an impact, or a smaller time step (more run.steps_per_contact)",
     "not-finite": "a smaller time step (more run.steps_per_contact; of the gas: a smaller run.gas_step)",
     "peer-died": "its log says why; the same command again goes on from the last checkpoint",
     "broken-invariant": "a smaller run.coupling, or larger gas cells",

@@ -8,8 +8,7 @@ interval.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 from typing import Literal
 
 import numpy as np
@@ -18,13 +17,14 @@ from numpy.typing import ArrayLike
 from kncal.bed.model import BedModel
 from kncal.bed.scene import BedScene, Gas
 from kncal.checks import Array
-from kncal.errors import CaseFileError
+from kncal.finding import Finding
 from kncal.fluidization import (
     expanded_voidage,
     minimum_fluidization_velocity,
     relaxation_time,
     terminal_velocity,
 )
+from kncal.material import sphere_mass
 from kncal.timestep import predict_error, verlet_limit
 
 #: Void fraction of a settled packing of equal spheres, where no positions are given to measure it.
@@ -38,28 +38,11 @@ COURANT_LARGEST, COURANT_LARGE = 2.0, 1.0
 BIAS_LARGEST, BIAS_LARGE = 0.2, 0.01
 #: Way of a particle in one coupling interval over its diameter.
 WAY_LARGEST, WAY_LARGE = 1.0, 0.5
+#: Overlap at the bottom of the settled bed over the diameter: the bed is lower by about half of that share, more than a
+#: softer contact is meant to cost, from the second on; at a radius (the first) it does not carry the bed.
+STATIC_LARGEST, STATIC_LARGE = 0.5, 0.05
 #: Steps per contact below which the predicted error is worth a word, and contacts per particle for the stability limit.
 STEPS_FEW, CONTACTS_DENSE = 20.0, 12.0
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One limit of a bed.
-
-    Attributes
-    ----------
-    code : short stable name, e.g. "cell-size"
-    level : "refuse" (a run would be meaningless or fail) or "warn"
-    message : one sentence: what, how much, what was expected, what to do
-    """
-
-    code: str
-    level: Literal["refuse", "warn"]
-    message: str
-
-    def __str__(self) -> str:
-        """Return the message with its level."""
-        return f"{self.level}: {self.message}"
 
 
 def check_bed(model: BedModel, positions: ArrayLike | None = None) -> tuple[Finding, ...]:
@@ -75,7 +58,7 @@ def check_bed(model: BedModel, positions: ArrayLike | None = None) -> tuple[Find
     found = [*_positions(scene, x)] if x is not None else []
     if any(finding.code == "positions" for finding in found):
         x = None  # nothing to measure
-    found += [*_depth(scene), *_contact_steps(model)]
+    found += [*_depth(scene), *_contact_steps(model), *_static(model)]
     if scene.gas is not None:
         eps = EPS_SETTLED if x is None else settled_voidage(scene, x)
         found += [*_jet(scene), *_cells(scene), *_courant(model, scene.gas, eps)]
@@ -84,13 +67,6 @@ def check_bed(model: BedModel, positions: ArrayLike | None = None) -> tuple[Find
             if not scene.particles.frozen:
                 found += [*_lift(scene, scene.gas, eps), *_room(scene, scene.gas, eps)]
     return tuple(sorted(found, key=lambda finding: finding.level != "refuse"))
-
-
-def require_possible(findings: Iterable[Finding]) -> None:
-    """Raise `CaseFileError` with the refusals among ``findings``, if there are any."""
-    refused = [finding.message for finding in findings if finding.level == "refuse"]
-    if refused:
-        raise CaseFileError("\n".join(refused))
 
 
 def largest_superficial(scene: BedScene) -> float:
@@ -304,6 +280,26 @@ def _contact_steps(model: BedModel) -> Iterator[Finding]:
                 "warn",
                 f"{a}–{b}: {steps:.3g} steps per contact: e_n is up to {100.0 * worst:.2g} % off by the step alone; "
                 f"expected at least {STEPS_FEW:g} run.steps_per_contact",
+            )
+
+
+def _static(model: BedModel) -> Iterator[Finding]:
+    """A particle at the bottom carries the weight of the bed above its own cross-section d² (side walls carry none)."""
+    p, column = model.scene.particles, model.scene.column
+    if p.frozen or p.count == 0:
+        return
+    layers = max(p.count * p.diameter**2 / (column.width * column.depth), 1.0)
+    load = float(sphere_mass(p.material, p.diameter / 2.0)) * model.scene.gravity * layers
+    for (a, b), contact in model.contacts.items():
+        share = (load / contact.k) ** (1.0 / contact.n) / p.diameter
+        if share > STATIC_LARGE:
+            refused = share >= STATIC_LARGEST
+            yield Finding(
+                "static-overlap",
+                "refuse" if refused else "warn",
+                f"{a}–{b}: the weight of {layers:.3g} layers needs an overlap of {share:.2g} diameters at the bottom "
+                f"of the bed{': the contact cannot carry it' if refused else ''}: expected at most {STATIC_LARGE:g}; "
+                "take a stiffer contact",
             )
 
 

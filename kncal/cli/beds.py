@@ -82,11 +82,14 @@ def run_bed(
     oversubscribe: bool,
 ) -> dict[str, RunResult]:
     """Run (or go on with) a bed and raise if a run did not complete."""
-    from kncal.bed.planning import plan_bed
+    from kncal.bed.workflow import plan_checked, warnings_of
     from kncal.bed.workflow import run_bed as run_models
     from kncal.workflow import require_completed
 
-    intervals = {kind: model.coupling for kind, model in plan_bed(scene, kinds).items()}
+    models = plan_checked(scene, kinds)
+    for text in warnings_of(models.values()):
+        show.note(f"warning: {text}")
+    intervals = {kind: model.coupling for kind, model in models.items()}
     with show.time_bars(intervals) as progress_for:
         results = run_models(
             scene,

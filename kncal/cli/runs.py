@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 from cyclopts import Parameter
 
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from kncal.engines.base import Engine
     from kncal.model import Model
     from kncal.scene import Scene
+
+_S = TypeVar("_S", bound="Scene | BedScene")
 
 Json = Annotated[bool, Parameter(name="--json", negative="", help="print data for machines")]
 EngineName = Annotated[
@@ -84,9 +86,11 @@ def render(
     scene, folder = _load(case, out, overrides, trust_templates)
     if isinstance(scene, BedScene):
         _refuse_ignored(scene, engine=engine != "liggghts")
+        scene = measured(scene, folder)
         render_bed(scene, folder, _kinds(model), ranks, oversubscribe=oversubscribe)
         return
     solver = get_engine(engine, ranks=ranks, oversubscribe=oversubscribe)
+    scene = measured(scene, folder, engine=engine)
     models = render_case(scene, solver, folder, _kinds(model), tell=show.note)
     for kind, m in models.items():
         show.say(
@@ -125,6 +129,7 @@ def run(
     scene, folder = _load(case, out, overrides, trust_templates)
     kinds = _kinds(model)
     _refuse_ignored(scene, engine=engine != "liggghts", transport=transport != "auto")
+    scene = measured(scene, folder, engine=engine, transport=transport, timeout=timeout)
     if isinstance(scene, BedScene):
         results = run_bed(scene, folder, kinds, transport, timeout, anew=anew, ranks=ranks, oversubscribe=oversubscribe)
         export_beds(folder, results, paraview=paraview)
@@ -211,6 +216,7 @@ def compare(
             repeat=repeat > 1,
             transport=transport != "auto",
         )
+        scene = measured(scene, folder, engine=engine, transport=transport, timeout=timeout)
         if isinstance(scene, BedScene):
             results = run_bed(
                 scene,
@@ -274,6 +280,23 @@ def _load(
     return scene, out if out is not None else Path("runs") / scene.name
 
 
+def measured(
+    scene: _S,
+    folder: Path,
+    *,
+    engine: str = "liggghts",
+    transport: str = "auto",
+    timeout: float | None = None,
+) -> _S:
+    """Return the scene with the impact speed that it asks to be measured, which may take some runs in ``folder``."""
+    if scene.contact.measured is None:
+        return scene
+    from kncal.measured import resolve_measured
+
+    with show.working("measuring"):
+        return resolve_measured(scene, folder, engine=engine, transport=transport, timeout=timeout, tell=show.note)
+
+
 def _refuse_ignored(scene: Scene | BedScene, **given: bool) -> None:
     """Refuse a flag that the kind of case at hand would pass over in silence."""
     from kncal.bed.scene import BedScene
@@ -307,8 +330,12 @@ def _run(
     *,
     anew: bool,
 ) -> None:
+    from kncal.planning import plan
+    from kncal.scene_limits import warnings_of
     from kncal.workflow import require_completed, run_case
 
+    for text in warnings_of(plan(scene, kinds)):
+        show.note(f"warning: {text}")
     with show.progress_bars() as progress_for:
         results = run_case(
             scene,
@@ -340,13 +367,10 @@ def _report(comparison: Comparison, folder: Path) -> Path:
 
 
 def _print_warnings(models: Mapping[str, Model]) -> None:
-    pairs: dict[str, list[str]] = {}
-    for model in models.values():
-        for pair, contact in model.contacts.items():
-            for text in contact.warnings.values():
-                pairs.setdefault(text, []).append("–".join(pair))
-    for text, names in pairs.items():
-        show.say(f"  warning ({', '.join(dict.fromkeys(names))}): {text}")
+    from kncal.scene_limits import warnings_of
+
+    for text in warnings_of(models):
+        show.say(f"  warning: {text}")
 
 
 def _print_comparison(comparison: Comparison) -> None:

@@ -22,7 +22,7 @@ STATUSES = ("completed", "failed", "timed_out", "interrupted", "not_installed")
 #: "broken-invariant" for a coupled run whose momentum or mass does not balance, "solver-error" for what a solver says.
 FAILURES = (
     "lost-particles", "not-finite", "disk-full", "killed", "peer-died", "broken-invariant", "no-end-marker",
-    "wrong-last-step", "empty-output", "truncated-output", "solver-error", "bad-input",
+    "wrong-last-step", "empty-output", "truncated-output", "passed-through", "solver-error", "bad-input",
 )  # fmt: skip
 
 #: Called while a run goes on with (steps done, steps in all).

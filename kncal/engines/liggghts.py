@@ -10,7 +10,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from kncal.checks import one_of
-from kncal.diagnose import diagnose_liggghts
+from kncal.diagnose import Diagnosis, diagnose_liggghts
 from kncal.engines.base import FRAMES, Profile, Progress, RunResult, read_frames, run_result
 from kncal.engines.liggghts_deck import deck_context
 from kncal.errors import RunError, failure_of
@@ -18,6 +18,7 @@ from kncal.io.liggghts_log import END_MARKER, step_of_line
 from kncal.model import Model
 from kncal.mpi import MISSING as NO_MPIRUN
 from kncal.mpi import MPIRUN, check_ranks, mpi_command, mpi_environment, run_ranks
+from kncal.passages import PASSED_THROUGH, passages
 from kncal.resources import folder as shipped_folder
 from kncal.runner import run_process, solver_environment
 from kncal.templating import render
@@ -146,6 +147,8 @@ class Liggghts:
             )
         problem = diagnose_liggghts(process, log, folder / FRAMES, model.n_steps, len(model.scene.particles))
         status = process.status
+        if problem is None and (through := passages(model, self.read(model, folder))):
+            problem = Diagnosis(code=PASSED_THROUGH, message=through[0])
         if status == "exited":
             status = "completed" if problem is None else "failed"
         return run_result(

@@ -9,10 +9,8 @@ import pytest
 from kncal.bed.case_file import load_bed
 from kncal.bed.limits import (
     EPS_SETTLED,
-    Finding,
     check_bed,
     largest_superficial,
-    require_possible,
     settled_height,
     settled_voidage,
 )
@@ -20,6 +18,7 @@ from kncal.bed.planning import plan_bed
 from kncal.bed.scene import BedScene, Jet
 from kncal.case_file import shipped_cases
 from kncal.errors import CaseFileError
+from kncal.finding import Finding, require_possible
 from kncal.fluidization import minimum_fluidization_velocity, terminal_velocity
 
 MINI = load_bed("bubbling_bed_mini")

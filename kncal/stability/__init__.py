@@ -1,0 +1,1 @@
+"""Where a case stops to be simulated right: edges in the time step, and what lies beyond them."""
