@@ -14,12 +14,12 @@ import numpy as np
 
 from kncal.checks import Array
 from kncal.cost import Cost, Speed, cost, speed
+from kncal.differences import Difference, Side, difference, finite, metric_names, path_difference, scale_of
 from kncal.engines.base import RunResult
 from kncal.errors import InputError, RunError
 from kncal.metrics import ExactRow, MetricRow, judge, metric_order, metric_unit
 from kncal.model import Model
 from kncal.trajectory import Trajectory
-from kncal.units import quantity
 from kncal.verdict import sentences
 
 if TYPE_CHECKING:
@@ -30,9 +30,6 @@ if TYPE_CHECKING:
 #: A deviation up to this many times the predicted error counts as explained: the prediction is the worst of
 #: sampled sub-step phases, the run has a phase of its own.
 PREDICTION_MARGIN = 1.1
-
-#: A reference below this share of its natural scale counts as zero: a relative difference would be noise.
-NEGLIGIBLE = 1e-12
 
 
 class ExactMotion(Protocol):
@@ -196,13 +193,10 @@ def compare(linear: RunData, hertz: RunData, tolerances: Mapping[str, float] | N
         if isinstance(limit, bool) or not isinstance(limit, int | float) or not 0.0 <= limit < np.inf:
             raise InputError(f"tolerances: {name} = {limit!r}: expected a finite number >= 0, 0.05 means 5 %")
 
-    length, basis = _extent(hertz.trajectory)
-    span, distances = _distances(linear.trajectory, hertz.trajectory)
-    rows = [_row(name, linear, hertz, limits.get(name)) for name in _metric_names(linear, hertz, limits)]
-    for name, distance in zip(("trajectory", "trajectory_rms"), distances, strict=True):
-        reason = "" if distance is not None else "the two runs have no common time span"
-        value = None if distance is None else distance / length
-        rows.append(judge(name, None, None, value, basis=basis, tolerance=limits.get(name), reason=reason))
+    sides = Side("linear", linear), Side("hertz", hertz)
+    paths = path_difference(linear.trajectory, hertz.trajectory)
+    rows = [_row(difference(name, *sides), limits.get(name)) for name in metric_names(linear, hertz, limits)]
+    rows += [_row(row, limits.get(row.metric)) for row in paths.rows]
     costs = (_cost("linear", linear), _cost("hertz", hertz))
     return Comparison(
         linear=linear,
@@ -211,9 +205,9 @@ def compare(linear: RunData, hertz: RunData, tolerances: Mapping[str, float] | N
         exact=(*_exact_rows("linear", linear), *_exact_rows("hertz", hertz)),
         costs=costs,
         speed=speed(*costs),
-        trajectory_scale=length,
-        trajectory_basis=basis,
-        common_time=span,
+        trajectory_scale=paths.scale,
+        trajectory_basis=paths.basis,
+        common_time=paths.common_time,
     )
 
 
@@ -236,93 +230,37 @@ def _same_bodies(linear: RunData, hertz: RunData) -> None:
         )
 
 
-def _metric_names(linear: RunData, hertz: RunData, limits: Mapping[str, float]) -> list[str]:
-    """Every metric that either run has or a tolerance asks for: by `metric_order`."""
-    names = {*hertz.observations.metrics, *linear.observations.metrics, *limits}
-    return sorted(names - {"trajectory", "trajectory_rms"}, key=metric_order)
-
-
-def _finite(value: float | None) -> float | None:
-    return None if value is None or not np.isfinite(value) else float(value)
-
-
-def _row(name: str, linear: RunData, hertz: RunData, tolerance: float | None) -> MetricRow:
-    values, reasons = [], []
-    for kind, data in (("linear", linear), ("hertz", hertz)):
-        given = data.observations.metrics.get(name)
-        values.append(_finite(given))
-        if given is None:
-            reasons.append(f"the {kind} run has no {name}")
-        elif values[-1] is None:
-            reasons.append(f"{name} of the {kind} run is not finite")
-    a, b = values
-    if a is None or b is None:
-        return judge(name, a, b, None, basis="", tolerance=tolerance, reason="; ".join(reasons))
-    scale, basis = _scale(name, b, "hertz", hertz)
-    if scale is None:
-        if a != b:
-            reason = f"{name} is 0 for hertz and has no natural scale"
-            return judge(name, a, b, None, basis="", tolerance=tolerance, reason=reason)
-        scale = 1.0
-    exact_a, exact_b = (_finite((d.exact or {}).get(name)) for d in (linear, hertz))
-    predicted = [_finite((d.predicted or {}).get(name)) for d in (linear, hertz)]
-    numerical = None
-    if predicted[0] is not None and predicted[1] is not None:
-        numerical = (abs(predicted[0] * a) + abs(predicted[1] * b)) / scale
-    reason = ""
+def _row(found: Difference, tolerance: float | None) -> MetricRow:
+    """Judge a difference of the linear run (its ``value``) from the Hertz run."""
+    reason, numerical = found.reason, found.numerical
     # Worth a word only where it decides: a difference far outside is no matter of steps, and none at all is no matter.
-    close = tolerance is not None and numerical is not None and 0.0 < abs(a - b) / scale <= tolerance + numerical
-    if close and tolerance is not None and numerical is not None and numerical > tolerance:
+    size = 0.0 if found.difference is None else abs(found.difference)
+    if tolerance is not None and numerical is not None and 0.0 < size <= tolerance + numerical < 2.0 * numerical:
         reason = "the tolerance is tighter than the discretisation error: take more steps per contact"
     return judge(
-        name,
-        a,
-        b,
-        (a - b) / scale,
-        basis=basis,
+        found.metric,
+        found.value,
+        found.reference,
+        found.difference,
+        basis=found.basis,
         tolerance=tolerance,
-        exact_difference=None if exact_a is None or exact_b is None else (exact_a - exact_b) / scale,
+        exact_difference=found.exact_difference,
         numerical=numerical,
         reason=reason,
     )
-
-
-def _scale(name: str, reference: float, label: str, run: RunData) -> tuple[float | None, str]:
-    """What a difference from ``reference`` is divided by: itself, or a natural scale if it is about zero."""
-    unit = metric_unit(name)
-    motion = run.trajectory
-    scales: dict[str, tuple[float, str]] = {"–": (1.0, "absolute"), "rad": (1.0, "absolute, in rad")}
-    speed = float(np.linalg.norm(motion.v, axis=2).max())
-    if unit == "m/s":
-        scales[unit] = (speed, f"absolute, by the largest speed {speed:.4g} m/s")
-    elif unit == "rad/s":
-        spin = speed / float(motion.radius.min())
-        scales[unit] = (spin, f"absolute, by largest speed / smallest radius {spin:.4g} rad/s")
-    elif unit == "m" and name.startswith("delta"):
-        radius = float(motion.radius.min())
-        scales[unit] = (radius, f"absolute, by the smallest radius {radius:.4g} m")
-    elif unit == "m":
-        length, basis = _extent(motion)
-        scales[unit] = (length, f"absolute, by the {basis}")
-    elif unit == "s":
-        scales[unit] = (run.model.t_end, f"absolute, by the end time {run.model.t_end:.4g} s")
-    scale, basis = scales.get(unit, (0.0, ""))
-    if abs(reference) > NEGLIGIBLE * scale:
-        return abs(reference), f"relative to {label}"
-    return (scale, basis) if scale > 0.0 else (None, "")
 
 
 def _exact_rows(kind: str, data: RunData) -> list[ExactRow]:
     rows = []
     values = data.exact or {}
     for name in sorted(values, key=metric_order):
-        exact = _finite(values[name])
+        exact = finite(values[name])
         if exact is None:
             raise InputError(f"exact solution of the {kind} model: {name} = {values[name]}: expected a finite number")
-        value = _finite(data.observations.metrics.get(name))
-        scale, basis = _scale(name, exact, "exact", data)
+        value = finite(data.observations.metrics.get(name))
+        scale, basis = scale_of(name, exact, "exact", data)
         deviation = None if value is None or scale is None else (value - exact) / scale
-        predicted = _finite((data.predicted or {}).get(name))
+        predicted = finite((data.predicted or {}).get(name))
         explained = None
         if deviation is not None and predicted is not None:
             explained = abs(deviation) <= PREDICTION_MARGIN * predicted
@@ -340,31 +278,6 @@ def _exact_rows(kind: str, data: RunData) -> list[ExactRow]:
             )
         )
     return rows
-
-
-def _extent(motion: Trajectory) -> tuple[float, str]:
-    sides = motion.x.max(axis=0) - motion.x.min(axis=0)
-    extent = float(np.linalg.norm(sides, axis=1).max())
-    radius = float(motion.radius.min())
-    if extent > NEGLIGIBLE * radius:
-        return extent, f"extent of the motion {quantity(extent, 'm', 4)}"
-    return radius, f"smallest radius {radius:.4g} m (nothing moves)"
-
-
-def _distances(a: Trajectory, b: Trajectory) -> tuple[tuple[float, float], tuple[float | None, float | None]]:
-    """Common time span [s]; largest and rms distance [m] of equal particles at the frame times of both."""
-    from scipy.integrate import trapezoid
-    from scipy.interpolate import CubicHermiteSpline
-
-    start, end = float(max(a.t[0], b.t[0])), float(min(a.t[-1], b.t[-1]))
-    if not start < end:
-        return (start, end), (None, None)
-    times = np.union1d(a.t, b.t)
-    times = times[(times >= start) & (times <= end)]
-    motions = [CubicHermiteSpline(m.t, m.x, m.v, axis=0)(times) for m in (a, b)]
-    squares = ((motions[0] - motions[1]) ** 2).sum(axis=2)
-    mean_square = trapezoid(squares.mean(axis=1), times) / (end - start)
-    return (start, end), (float(np.sqrt(squares.max())), float(np.sqrt(mean_square)))
 
 
 def _cost(kind: str, data: RunData) -> Cost:

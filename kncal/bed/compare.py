@@ -12,7 +12,7 @@ from kncal.bed.cost import BedCost, bed_cost, bed_speed
 from kncal.bed.invariants import Invariant, invariants
 from kncal.bed.model import BedModel
 from kncal.bed.observe import BedObservations, observe_bed, voidage_difference
-from kncal.bed.quantities import quantities
+from kncal.bed.quantities import Quantities, quantities
 from kncal.bed.rows import BedRow, judge, judge_field, row_order
 from kncal.bed.series import BedSeries
 from kncal.bed.verdict import sentences
@@ -38,6 +38,45 @@ class BedRunData:
     model: BedModel
     result: RunResult
     series: BedSeries
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObservedRun:
+    """A bed run and what was seen of it; made by `observed`."""
+
+    data: BedRunData
+    seen: BedObservations
+    found: Quantities
+
+
+def observed(data: BedRunData) -> ObservedRun:
+    """Observe a run after its start-up: ``run.discard`` of its scene, or as detected.
+
+    Raises
+    ------
+    InputError
+        If it is too short for any average.
+    """
+    scene = data.model.scene
+    seen = observe_bed(data.series, scene.run.discard, scene.gas)
+    return ObservedRun(data=data, seen=seen, found=quantities(data.series, seen))
+
+
+def rows_between(
+    a: ObservedRun, b: ObservedRun, limits: Mapping[str, float], names: tuple[str, str] = ("linear", "hertz")
+) -> tuple[BedRow, ...]:
+    """Return one row per quantity of two runs of a bed; ``b`` is the reference, ``names`` are theirs in texts.
+
+    ``limits``: metric -> largest allowed abs(difference) [-].
+    """
+    fields = {"eps_g"} if not b.found.why_not("eps_g") else set()
+    metrics = sorted({*a.found.sides, *b.found.sides, *limits, *fields}, key=row_order)
+    return tuple(
+        _field_row(a, b, limits.get(name))
+        if name in fields
+        else judge(name, a.found.side(name), b.found.side(name), limits.get(name), names)
+        for name in metrics
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -177,28 +216,15 @@ def compare_beds(linear: BedRunData, hertz: BedRunData, tolerances: Mapping[str,
     for name, limit in limits.items():
         if isinstance(limit, bool) or not isinstance(limit, int | float) or not 0.0 <= limit < np.inf:
             raise InputError(f"tolerances: {name} = {limit!r}: expected a finite number >= 0, 0.05 means 5 %")
-    scenes = (linear.model.scene, hertz.model.scene)
-    seen_l, seen_h = (
-        observe_bed(data.series, scene.run.discard, scene.gas)
-        for data, scene in zip((linear, hertz), scenes, strict=True)
-    )
-    found_l, found_h = quantities(linear.series, seen_l), quantities(hertz.series, seen_h)
-    fields = {"eps_g"} if not found_h.why_not("eps_g") else set()
-    names = sorted({*found_l.sides, *found_h.sides, *limits, *fields}, key=row_order)
-    rows = [
-        _field_row(linear, hertz, (seen_l, seen_h), limits.get(name))
-        if name in fields
-        else judge(name, found_l.side(name), found_h.side(name), limits.get(name))
-        for name in names
-    ]
+    seen_l, seen_h = observed(linear), observed(hertz)
     costs = (bed_cost(linear.model, linear.result), bed_cost(hertz.model, hertz.result))
     saved, total = bed_speed(*costs)
     return BedComparison(
         linear=linear,
         hertz=hertz,
-        observations=(seen_l, seen_h),
-        rows=tuple(rows),
-        invariants=invariants((linear.series, hertz.series), (found_l, found_h)),
+        observations=(seen_l.seen, seen_h.seen),
+        rows=rows_between(seen_l, seen_h, limits),
+        invariants=invariants((linear.series, hertz.series), (seen_l.found, seen_h.found)),
         costs=costs,
         speed=saved,
         total_speed=total,
@@ -219,15 +245,11 @@ def _theory(seen: BedObservations) -> dict[str, Any]:
     }
 
 
-def _field_row(
-    linear: BedRunData,
-    hertz: BedRunData,
-    seen: tuple[BedObservations, BedObservations],
-    tolerance: float | None,
-) -> BedRow:
-    end = float(max(linear.series.t[-1], hertz.series.t[-1]))
+def _field_row(a: ObservedRun, b: ObservedRun, tolerance: float | None) -> BedRow:
+    first, second = a.data.series, b.data.series
+    end = float(max(first.t[-1], second.t[-1]))
     try:
-        rms, noise = voidage_difference(linear.series, hertz.series, seen[0].begin, seen[1].begin)
+        rms, noise = voidage_difference(first, second, a.seen.begin, b.seen.begin)
     except InputError as error:
         return judge_field("eps_g", None, 0.0, tolerance, end, str(error))
     return judge_field("eps_g", rms, noise, tolerance, end)

@@ -105,8 +105,12 @@ def row_order(name: str) -> tuple[int, str]:
     return list(BED_METRICS).index(name) if name in BED_METRICS else len(BED_METRICS), name
 
 
-def judge(name: str, linear: Side, hertz: Side, tolerance: float | None) -> BedRow:
-    """Make the row of a quantity and give the verdict.
+def judge(
+    name: str, linear: Side, hertz: Side, tolerance: float | None, names: tuple[str, str] = ("linear", "hertz")
+) -> BedRow:
+    """Make the row of a quantity and give the verdict; the second of the two runs is the reference.
+
+    Other runs than a linear and a Hertz one have other ``names`` in texts.
 
     The interval of the difference decides (two one-sided tests: Schuirmann, J. Pharmacokinet. Biopharm. 15 (1987)
     657): that no difference is seen in a short run is no proof of agreement. Relative to the Hertz value; absolute for
@@ -114,23 +118,24 @@ def judge(name: str, linear: Side, hertz: Side, tolerance: float | None) -> BedR
     """
     unit, _ = describe(name)
     a, b = linear.average, hertz.average
+    first, second = names
     if a is None or b is None:
-        sides = (("linear", linear), ("hertz", hertz))
+        sides = ((first, linear), (second, hertz))
         reason = "; ".join(f"{kind}: {s.missing or 'not observed'}" for kind, s in sides if s.average is None)
         if linear.missing == hertz.missing and a is b is None:
             reason = linear.missing or "not observed"
         return _row(name, a, b, None, None, "", None, tolerance, "-" if tolerance is None else "missing", None, reason)
     found = difference(a, b)
-    scale, basis = abs(b.mean), "relative to hertz"
+    scale, basis = abs(b.mean), f"relative to {second}"
     if name in ABSOLUTE or (scale == 0.0 and unit == "–"):
         scale, basis = 1.0, "absolute"
-    doubt = found.why.replace("first:", "linear:").replace("second:", "hertz:")
+    doubt = found.why.replace("first:", f"{first}:").replace("second:", f"{second}:")
     if scale == 0.0:
         if found.value == 0.0:
             scale = 1.0
         else:
             verdict = "-" if tolerance is None else "missing"
-            reason = f"{name} is 0 for hertz and has no natural scale"
+            reason = f"{name} is 0 for {second} and has no natural scale"
             return _row(name, a, b, None, None, "", None, tolerance, verdict, None, reason)
     trusted = found.reliable
     width = found.uncertainty * (1.0 if trusted else DOUBT)
