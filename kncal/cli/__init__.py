@@ -14,7 +14,7 @@ import sys
 from cyclopts import App, CycloptsError
 
 from kncal import __version__
-from kncal.cli import beds, calibrate, cases, runs, show, sweeps, upkeep
+from kncal.cli import beds, calibrate, cases, runs, show, stability, sweeps, trade, trim, upkeep
 from kncal.errors import InterruptedRunError, KncalError, RunError, SolverMissingError
 
 OK, OUTSIDE, USAGE, FAILED, MISSING, INTERRUPTED = 0, 1, 2, 3, 4, 130
@@ -27,6 +27,7 @@ app = App(
     name="kncal",
     suppress_keyboard_interrupt=False,
     version=__version__,
+    help_format="plaintext",  # Markdown would swallow <case>
     help="How stiff must my linear spring be, what does the softer spring buy, and what does it cost?\n\n"
     "Calibrate a linear spring–dashpot contact against a Hertz-type one, run both, compare. SI units throughout.",
 )
@@ -47,6 +48,9 @@ app.command(beds.adapter)
 app.command(sweeps.sweep)
 app.command(sweeps.sweep_run)
 app.command(sweeps.sweep_table)
+app.command(trade.trade)
+app.command(stability.stability)
+app.command(trim.trim)
 
 
 def main(arguments: list[str] | None = None) -> None:

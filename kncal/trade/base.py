@@ -2,10 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from kncal.study.variants import Variant
+
+#: Shares of the calibrated k_n, or of the real modulus, that a trade tries.
+FACTORS = tuple(1.0 / share for share in (1, 3, 10, 30, 100, 300, 1000, 3000, 10_000))
+
+#: Steps per contact that a trade tries.
+STEPS = (10.0, 20.0, 50.0, 100.0)
+
+#: Shares of the diameter that the largest overlap may have, by `limited_overlap`.
+OVERLAPS = (0.001, 0.01, 0.05)
+
+#: Told in one line what is done now.
+Tell = Callable[[str], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,3 +132,126 @@ class TradePoint:
     def completed(self) -> bool:
         """Whether there are numbers."""
         return self.status == "completed"
+
+
+@dataclass(frozen=True, kw_only=True)
+class TradeOptions:
+    """What is asked of a trade.
+
+    Attributes
+    ----------
+    tolerances : metric -> largest allowed abs(error) [-]; empty: those of the case
+    reference : ``KEY=VALUE`` that make the materials real where the case's are softened already
+    steps : steps per contact N to try [-]
+    factors : shares of k_n and of the modulus to try [-]
+    overlaps : shares of the diameter for `limited_overlap` [-]
+    rounds : how often each run whose CPU time is wanted is repeated
+    budget : wall-clock time for everything [s]; None: as long as it takes
+    workers : runs at a time; None: one per core
+    engine : of single contacts; ``transport``: of beds
+    """
+
+    tolerances: Mapping[str, float] = field(default_factory=dict)
+    reference: tuple[str, ...] = ()
+    steps: tuple[float, ...] = STEPS
+    factors: tuple[float, ...] = FACTORS
+    overlaps: tuple[float, ...] = OVERLAPS
+    rounds: int = 3
+    budget: float | None = None
+    workers: int | None = None
+    engine: str = "liggghts"
+    transport: str = "auto"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """One part of an error [-] and the half-width of its 95 % confidence interval, or bound [-] (None: not known)."""
+
+    value: float
+    uncertainty: float | None = None
+
+    @property
+    def resolved(self) -> bool:
+        """Whether it is known to differ from zero."""
+        return self.uncertainty is not None and abs(self.value) > self.uncertainty
+
+
+@dataclass(frozen=True, kw_only=True)
+class ErrorSplit:
+    """Where the error of one metric of one point comes from; each part measured by changing one thing.
+
+    Attributes
+    ----------
+    metric : name
+    total : the point's error
+    discretisation : at its N against the same contact converged in N
+    softness : this contact against the same model unsoftened, both converged
+    model : the linear model, unsoftened, against the reference, both converged; None: the same model
+    interaction : total minus the parts that are known
+    missing : parts that could not be measured, in words
+    """
+
+    metric: str
+    total: Part
+    discretisation: Part | None = None
+    softness: Part | None = None
+    model: Part | None = None
+    interaction: float | None = None
+    missing: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Convergence:
+    """How the reference's step was found.
+
+    Attributes
+    ----------
+    steps_per_contact : N tried, ascending [-]
+    values : metric -> its value at each N
+    chosen : N of the reference
+    left : metric -> what is left of the discretisation error at ``chosen`` [-], relative like its error
+    threshold : what no metric was to move by more than from one N to the next [-]
+    converged : whether that was reached
+    """
+
+    steps_per_contact: tuple[float, ...]
+    values: Mapping[str, tuple[float | None, ...]]
+    chosen: float
+    left: Mapping[str, float]
+    threshold: float
+    converged: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trade:
+    """Everything a trade found; `kncal.trade.front` and `kncal.trade.law` draw the conclusions.
+
+    Attributes
+    ----------
+    case, title : of the case
+    bed : whether it is a coupled bed
+    reference : Hertz with the real modulus at a converged step; its ``errors`` are empty
+    convergence : how its step was found; None: its N was given
+    points : the candidates, in the order tried; Hertz at the real modulus is "reduced_modulus" with factor 1
+    tolerances : metric -> largest allowed abs(error) [-]
+    splits : name of a candidate -> the split of each of its errors that could be measured
+    caveats : sentences on what to keep in mind
+    options : as asked
+    wall_seconds : what all of it took [s]
+    """
+
+    case: str
+    title: str
+    bed: bool
+    reference: TradePoint
+    convergence: Convergence | None
+    points: tuple[TradePoint, ...]
+    tolerances: Mapping[str, float]
+    splits: Mapping[str, tuple[ErrorSplit, ...]] = field(default_factory=dict)
+    caveats: tuple[str, ...] = ()
+    options: TradeOptions = field(default_factory=TradeOptions)
+    wall_seconds: float = 0.0
+
+    def point(self, name: str) -> TradePoint | None:
+        """Return the point of the candidate called ``name``, or None."""
+        return next((point for point in self.points if point.candidate.name == name), None)

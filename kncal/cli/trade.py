@@ -1,0 +1,160 @@
+"""``kncal trade``: how soft and how coarse a contact may be on this case, and what that saves."""
+
+from __future__ import annotations
+
+import math
+import re
+import shlex
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from kncal.cli import show
+from kncal.cli.beds import Transport
+from kncal.cli.runs import EngineName, Json, Set
+from kncal.errors import InputError
+
+if TYPE_CHECKING:
+    from kncal.trade.workflow import TradeResult
+
+_SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
+
+
+def _several(name: str, text: str) -> Parameter:
+    return Parameter(name=name, negative="", help=text)
+
+
+def trade(
+    case: str,
+    *,
+    tolerances: Annotated[
+        list[str] | None,
+        _several(
+            "--tolerance", "METRIC=SHARE, e.g. restitution=1% (may be repeated); default: the case's [tolerances]"
+        ),
+    ] = None,
+    reference: Annotated[
+        list[str] | None,
+        _several(
+            "--reference",
+            "KEY=VALUE that makes a material real where the case's is softened, e.g. materials.soft.young=1e9",
+        ),
+    ] = None,
+    factors: Annotated[
+        list[str] | None,
+        _several(
+            "--factor", "share of k_n and of the modulus to try, e.g. 1/30 (may be repeated); default 1 to 1/10000"
+        ),
+    ] = None,
+    steps: Annotated[
+        list[float] | None,
+        _several("--steps", "steps per contact to try (may be repeated); default 10, 20, 50 and 100"),
+    ] = None,
+    rounds: Annotated[int, Parameter(help="how often each run is repeated for its CPU time")] = 3,
+    budget: Annotated[str | None, Parameter(help="wall-clock time for everything, e.g. 90s, 10min, 2h")] = None,
+    workers: Annotated[int | None, Parameter(help="runs at a time; default: one per core")] = None,
+    engine: EngineName = "liggghts",
+    transport: Transport = "auto",
+    out: Annotated[Path | None, Parameter(name="--out", help="folder; default runs/<case>_trade here")] = None,
+    overrides: Set = None,
+    json: Json = False,
+) -> int:
+    """Measure what softer and coarser contacts save on CASE, and find the cheapest inside the tolerances.
+
+    Writes trade.json, trade.csv, a report, and a case.toml with the chosen contact. The same command again goes on.
+    Exit code 0: there is one; 1: no contact is surely inside the tolerances.
+
+    Parameters
+    ----------
+    case
+        A shipped case's name, a case folder or a case.toml.
+    """
+    from kncal.bed.scene import BedScene
+    from kncal.case_file import load_case
+    from kncal.trade.base import FACTORS, STEPS, TradeOptions
+    from kncal.trade.tolerances import parse_tolerances
+    from kncal.trade.workflow import run_trade
+
+    scene = load_case(case, overrides=overrides or ())
+    bed = isinstance(scene, BedScene)
+    if bed and engine != "liggghts":
+        raise InputError("--engine has no meaning for a bed: leave it out")
+    if not bed and transport != "auto":
+        raise InputError("--transport has no meaning for a case of single contacts: leave it out")
+    options = TradeOptions(
+        tolerances=parse_tolerances(tolerances or (), bed=bed),
+        reference=tuple(reference or ()),
+        steps=tuple(steps or STEPS),
+        factors=_factors(factors) if factors else FACTORS,
+        rounds=rounds,
+        budget=None if budget is None else seconds(budget),
+        workers=workers,
+        engine=engine,
+        transport=transport,
+    )
+    folder = out if out is not None else Path("runs") / f"{scene.name}_trade"
+    result = run_trade(case, folder, options, show.note, overrides=overrides or ())
+    if json:
+        show.as_json(result.to_dict())
+    else:
+        _print(result)
+    return 0 if result.conclusion.chosen is not None else 1
+
+
+def seconds(text: str) -> float:
+    """Return the seconds of ``90``, ``90s``, ``10min`` or ``2h``.
+
+    Raises
+    ------
+    InputError
+        If it is not of that form, or not above zero.
+    """
+    found = re.fullmatch(r"([0-9.]+)\s*(s|min|h|)", text.strip())
+    try:
+        value = float(found[1]) * _SECONDS[found[2]] if found else math.nan
+    except ValueError:
+        value = math.nan
+    if not 0.0 < value < math.inf:
+        raise InputError(f"--budget {text[:50]!r}: expected a time above 0, e.g. 90s, 10min or 2h")
+    return value
+
+
+def _factors(given: Iterable[str]) -> tuple[float, ...]:
+    """Return the factors, 1 among them: the others are judged against it."""
+    found = [1.0]
+    for text in given:
+        over, sign, under = text.partition("/")
+        try:
+            value = float(over) / (float(under) if sign else 1.0)
+        except (ValueError, ZeroDivisionError):
+            value = math.nan
+        if not 0.0 < value <= 1.0:
+            raise InputError(f"--factor {text[:50]!r}: expected a share above 0 and at most 1, e.g. 1/30 or 0.03")
+        found.append(value)
+    return tuple(sorted(set(found), reverse=True))
+
+
+def _print(result: TradeResult) -> None:
+    from kncal.trade.report import NEAR, near_front, point_table
+
+    shown, conclusion = result.trade, result.conclusion
+    near = near_front(shown, conclusion)
+    front = [shown.reference, *near]
+    found = point_table(shown, conclusion, front)
+    last = len(found.headings) - 1
+    show.table(f"{shown.case}: the Pareto front", found.headings, found.rows, text=(0, last - 1, last))
+    if len(near) < len(conclusion.front):
+        show.say(f"{len(conclusion.front) - len(near)} points of the front are more than {NEAR:g} times outside.")
+    for sentence in result.sentences:
+        show.say(sentence)
+    lost = [point for point in shown.points if not point.completed]
+    if lost:
+        show.say(f"{len(lost)} of {len(shown.points)} points have no numbers; the report names each with the reason.")
+    show.say(f"report: {result.page}")
+    if result.case is not None:
+        model = "" if conclusion.chosen is None else conclusion.chosen.candidate.model
+        show.say(
+            f"case with the chosen contact: {result.case} (kncal run {shlex.quote(str(result.case))} --model {model})"
+        )
