@@ -136,6 +136,12 @@ def decide(scene: Scene) -> Needs:
     )
 
 
+def untouched_walls(scene: Scene) -> tuple[str, ...]:
+    """Return the names of the walls that nothing can touch, in the order of the scene."""
+    touched = {body.name for contact in _motion(scene)[1] for body in contact}
+    return tuple(wall.name for wall in scene.walls if wall.name not in touched)
+
+
 def overruled(item: Need, overrules: Mapping[str, bool]) -> Need:
     """Return kncal's decision with the user's own in its place, if there is one."""
     wish = overrules.get(item.name, item.used)

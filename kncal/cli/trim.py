@@ -1,0 +1,126 @@
+"""``kncal trim``: what a scene can do without."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Parameter
+
+from kncal.cli import show
+from kncal.cli.beds import Transport
+from kncal.cli.runs import EngineName, Json, Set, Timeout
+from kncal.errors import InputError
+
+if TYPE_CHECKING:
+    from kncal.study.runs import OnStudyProgress
+    from kncal.trim.base import Trim
+
+
+def trim(
+    case: str,
+    *,
+    model: Annotated[Literal["linear", "hertz"], Parameter(help="contact model of the full scene")] = "linear",
+    parts: Annotated[
+        str | None, Parameter(help="only these, e.g. tangential,rolling; the report lists the names of all")
+    ] = None,
+    tolerance: Annotated[
+        list[str] | None,
+        Parameter(
+            name="--tolerance",
+            negative="",
+            help="METRIC=SHARE that may change, e.g. restitution=1% (may be repeated); default: those of the case",
+        ),
+    ] = None,
+    rounds: Annotated[
+        int | None, Parameter(help="how often all is run, for the spread of CPU times; default 3, of beds 1")
+    ] = None,
+    engine: EngineName = "liggghts",
+    transport: Transport = "auto",
+    workers: Annotated[int | None, Parameter(help="runs at a time; default: one per core")] = None,
+    out: Annotated[Path | None, Parameter(name="--out", help="folder; default runs/<case>_trim here")] = None,
+    timeout: Timeout = None,
+    overrides: Set = None,
+    json: Json = False,
+) -> None:
+    """Run CASE with and without each optional part of its physics; tell cost and effect, and write the trimmed case.
+
+    What has no effect on the scene, as far as the tolerances and the uncertainty of the runs can tell, is left out;
+    then the trimmed scene is run against the full one. Writes trim.json, trim.csv, report/ and case.toml. The same
+    command again runs only what is missing.
+
+    Parameters
+    ----------
+    case
+        A shipped case's name, a case folder or a case.toml.
+    """
+    from kncal.bed.scene import BedScene
+    from kncal.case_file import load_case
+    from kncal.trade.tolerances import parse_tolerances
+    from kncal.trim.report import write_trim
+    from kncal.trim.workflow import TrimOptions
+    from kncal.trim.workflow import trim as run_trim
+
+    scene = load_case(case, overrides=overrides or ())
+    ignored = "engine" if engine != "liggghts" else ""
+    if not isinstance(scene, BedScene):
+        ignored = "transport" if transport != "auto" else ""
+    if ignored:
+        kind = "a bed" if isinstance(scene, BedScene) else "a case of single contacts"
+        raise InputError(f"--{ignored} has no meaning for {kind}: leave it out")
+    options = TrimOptions(
+        model=model,
+        overrides=tuple(overrides or ()),
+        tolerances=parse_tolerances(tolerance or (), bed=isinstance(scene, BedScene)),
+        parts=None if parts is None else tuple(name.strip() for name in parts.split(",")),
+        rounds=rounds,
+        engine=engine,
+        transport=transport,
+        workers=workers,
+        timeout=timeout,
+    )
+    folder = out if out is not None else Path("runs") / f"{scene.name}_trim"
+    with _told() as progress:
+        found = run_trim(case, folder, options, on_progress=progress, tell=show.note)
+    page = write_trim(found, folder)
+    if json:
+        show.as_json(found.to_dict() | {"report": str(page), "trimmed": str(folder / "case.toml")})
+        return
+    _print(found)
+    show.say(f"trimmed case: {folder / 'case.toml'}, to be run with --model {found.trimmed_model}")
+    show.say(f"report: {page}")
+
+
+@contextmanager
+def _told() -> Iterator[OnStudyProgress]:
+    """Show on stderr how far the runs are, where it is a terminal."""
+    from rich.progress import BarColumn, Progress, TextColumn
+
+    from kncal.sweep import SweepProgress
+
+    screen = show.console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.0f}/{task.total:.0f} runs"))
+    with Progress(*columns, console=screen, disable=not screen.is_terminal) as bars:
+        task = bars.add_task("checking", total=1)
+
+        def told(number: int, rounds: int, model: str, progress: SweepProgress) -> None:
+            text = f"round {number} of {rounds}, {model}"
+            bars.update(task, description=text, completed=progress.done, total=progress.total)
+
+        yield told
+
+
+def _print(found: Trim) -> None:
+    from kncal.trim.base import DOES_NOT_APPLY
+    from kncal.trim.report import part_row
+
+    columns = ["part", "tried", "verdict", "CPU", "steps", "disk", "largest effect", "of"]
+    rows = [part_row(r) for r in found.results if r.verdict != DOES_NOT_APPLY]
+    show.table(f"{found.case}, {found.model}: what it can do without", columns, rows, text=(0, 1, 2, 7))
+    for result in found.results:
+        if result.verdict != DOES_NOT_APPLY:
+            show.say(f"  {result.sentence}")
+    for text in found.sentences:
+        show.say(text)
