@@ -181,6 +181,8 @@ def _error(contact: PairContact, steps: float) -> float:
     if steps > 1000.0:
         return 0.0  # below a tenth of a per cent even for e_n = 0.05; not worth the time to predict
     try:
-        return float(predict_error(contact.law, contact.e_n, steps, contact.end).worst["e_n"])
+        # rounded, so that the points of a sweep share most predictions
+        e_n, steps = float(f"{contact.e_n:.2g}"), float(f"{steps:.3g}")
+        return float(predict_error(contact.law, e_n, steps, contact.end).worst["e_n"])
     except InputError:  # the discrete contact does not end
         return 1.0

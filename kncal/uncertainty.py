@@ -102,9 +102,10 @@ def distribution(name: str, text: str, value: float | None) -> Distribution:
     """
     from scipy import stats
 
+    text = text.strip()
     if name not in INPUTS:
         raise InputError(f"{name}: expected one of {', '.join(INPUTS)}")
-    if found := _PERCENT.fullmatch(text.strip()):
+    if found := _PERCENT.fullmatch(text):
         share = _number(name, text, found[1]) / 100.0
         positive(f"{name} [%]", 100.0 * share)
         if value is None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -71,6 +71,14 @@ def kn(
     case
         A shipped case's name, a case folder or a case.toml; without it the flags describe the contact.
     """
+    of_options = {
+        "--method": method != "mean_overlap",
+        "--fraction": fraction != 0.01,
+        "--t-c": t_c is not None,
+        "--force": force is not None,
+        "--factor": factor != 1.0,
+    }
+    of_steps = {"--steps-per-contact": steps_per_contact is not None}
     options = {"fraction": fraction, "factor": factor}
     options |= {name: value for name, value in (("t_c", t_c), ("force", force)) if value is not None}
     flags = contact or ContactFlags()
@@ -79,6 +87,8 @@ def kn(
             raise InputError(
                 f"{given[0]} and --from-run: the run's case holds these numbers: expected one or the other"
             )
+        of_run = {"--engine": engine != "liggghts", "--out": out is not None}
+        _refuse_ignored("--from-run (the method is that of the run's case)", of_options | of_steps | of_run)
         kn_from_run(from_run, uncertain or (), picture, json=json)
         return
     if picture is not None:
@@ -92,6 +102,7 @@ def kn(
             )
         from kncal.case_file import load_case
 
+        _refuse_ignored(f"the case {case!r}, whose own method is used", {"--method": of_options["--method"]})
         scene = load_case(case, overrides=overrides or ())
         if scene.contact.measured is None and (out is not None or engine != "liggghts"):
             raise InputError('--engine and --out are for a case with contact.v_0 = "measured": leave them out')
@@ -101,6 +112,7 @@ def kn(
     if out is not None or engine != "liggghts":
         raise InputError('--engine and --out are for a case with contact.v_0 = "measured": leave them out')
     if uncertain:
+        _refuse_ignored("--uncertain, which gives the distribution of k_n alone", of_steps)
         _kn_flags_uncertain(flags, uncertain, method, options, json=json)
         return
     pair, v_0, e_n = flags.pair(), flags.speed(), flags.restitution()
@@ -113,6 +125,13 @@ def kn(
     _kn_print(flags.title(), data)
     show.say(f"For a LIGGGHTS deck ({method}):\n")
     show.say(block)
+
+
+def _refuse_ignored(beside: str, given: Mapping[str, bool]) -> None:
+    """Refuse a flag that would be passed over in silence."""
+    for name, is_given in given.items():
+        if is_given:
+            raise InputError(f"{name} has no meaning with {beside}: leave it out")
 
 
 class _CasePair(NamedTuple):

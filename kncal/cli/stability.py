@@ -39,11 +39,13 @@ def stability(
     """
     from kncal.case_file import load_case
     from kncal.stability.report import accuracy_table, bed_table, edge_table, write_stability
-    from kncal.stability.workflow import study_stability
+    from kncal.stability.workflow import RECORD, SPEED, STARTED, study_stability
+    from kncal.study.folders import refuse_other
 
     scene = load_case(case, overrides=overrides or ())
     folder = out if out is not None else Path("runs") / f"{scene.name}_stability"
-    scene = measured(scene, folder, engine=engine, transport=transport)
+    refuse_other(folder, RECORD, STARTED)
+    scene = measured(scene, folder / SPEED, engine=engine, transport=transport)
     with show.working("probes"):
         found = study_stability(scene, folder, engine=engine, quick=quick, transport=transport, workers=workers)
         page = write_stability(found, folder)

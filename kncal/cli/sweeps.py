@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +17,7 @@ from kncal.cli.runs import EngineName, Json, ModelChoice, Oversubscribe, Ranks, 
 from kncal.errors import InputError
 
 if TYPE_CHECKING:
+    from kncal.finding import Finding
     from kncal.sweep import Executor, Settings, Sweep, SweepProgress, SweepResult
     from kncal.sweep.points import Point
     from kncal.sweep.slurm_script import SlurmOptions
@@ -105,19 +106,36 @@ def sweep(
     runner = _executor(executor, workers, scheduler, options)
     folder = out if out is not None else Path("runs") / f"{load_case(case).name}_sweep"
     combined = combine(groups)
+    minded: dict[str, dict[str, str]] = {}
+
+    def warn(run: str, found: tuple[Finding, ...]) -> None:
+        for finding in found:
+            minded.setdefault(finding.code, {})[run] = finding.message
+
     with _bar() as told:
-        made, text = design(case, combined, settings, skip_bad=skip_bad, progress=told.checking)
+        made, text = design(case, combined, settings, skip_bad=skip_bad, progress=told.checking, warn=warn)
         if export_slurm is None:
             result = run_sweep(made, text, folder, runner, told.running)
     if export_slurm is not None:
+        _tell_warnings(minded, made)
         return _export(made, text, folder, export_slurm, options, workers, json)
     if parquet:
         write_parquet(folder, read_sweep(folder))
     if json:
-        show.as_json(_summary(result, len(combined), [r.model_dump() for r in made.refused]))
+        summary = _summary(result, len(combined), [r.model_dump() for r in made.refused])
+        show.as_json(summary | {"warnings": minded})
     else:
         _print(result, len(combined), [", ".join(r.values) + ": " + r.message for r in made.refused])
+        _tell_warnings(minded, made)
     return 0 if result.completed == result.total and not made.refused else 3
+
+
+def _tell_warnings(minded: Mapping[str, Mapping[str, str]], made: Sweep) -> None:
+    """Tell each kind of warning once: of how many runs, and what it says of the first."""
+    for code, runs in minded.items():
+        run, message = next(iter(runs.items()))
+        values = ", ".join(made.runs[run]) or "the case"
+        show.note(f"warning ({code}) about {len(runs)} of {len(made.runs)} runs, such as {values}: {message}")
 
 
 def sweep_run(folder: Path, run: str, *, json: Json = False) -> int:

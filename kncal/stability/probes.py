@@ -85,6 +85,7 @@ def ingredients(case: Scene | BedScene) -> Ingredients:
     InputError
         If the case has no impact speed, neither given nor from its own motion.
     """
+    others: list[str] = []
     if isinstance(case, BedScene):
         material, radius, wall = case.particles.material, 0.5 * case.particles.diameter, case.column.wall_material
         if not case.particles.count:
@@ -93,6 +94,8 @@ def ingredients(case: Scene | BedScene) -> Ingredients:
     else:
         first = case.particles[0]
         material, radius = first.material, first.radius
+        others = [p.name for p in case.particles if (p.material, p.radius) != (material, radius)]
+        others += [w.name for w in case.walls[1:] if w.material != case.walls[0].material]
         wall = case.walls[0].material if case.walls else None
         speed = case.contact.v_0 if case.contact.v_0 is not None else first_impact_speed(case)
         names = {p.name: p.material.name for p in case.particles} | {w.name: _name(w.material) for w in case.walls}
@@ -100,6 +103,10 @@ def ingredients(case: Scene | BedScene) -> Ingredients:
         raise InputError(f"{case.name}: nothing meets, so there is no impact speed: expected contact.v_0 [m/s]")
     contact = case.contact
     pairs, notes = _exceptions(contact.pairs, names, {material.name, _name(wall)})
+    if others:
+        notes += (
+            f"the probes are made of the first particle and the first wall: nothing is said of {', '.join(others)}",
+        )
     left_out = [what for what in ("friction", "rolling_friction") if getattr(contact, what) > 0.0]
     if left_out:
         notes += (f"the probes leave out {' and '.join(left_out)}",)

@@ -51,6 +51,7 @@ _MAPS = {
 def write_stability(found: Stability, folder: Path) -> Path:
     """Write stability.json, stability.csv, map.csv and report/index.html into ``folder``; returns the page's path."""
     folder.mkdir(parents=True, exist_ok=True)
+    # first, since it says whose folder this is
     write_json(folder / "stability.json", found.to_dict())
     write_csv(folder / "stability.csv", found.edge_frame(), EDGE_UNITS)
     write_csv(folder / "map.csv", found.cell_frame(), CELL_UNITS)

@@ -10,6 +10,7 @@ from kncal.stability.accuracy import AccuracyEdge
 from kncal.stability.bed_edges import BedEdge
 from kncal.stability.edges import RESOLUTION, Edge
 from kncal.stability.maps import Cell
+from kncal.stability.outcome import REFUSED
 from kncal.stability.probes import Ingredients
 
 if TYPE_CHECKING:
@@ -94,7 +95,10 @@ class Stability:
         both: dict[tuple[Any, ...], dict[str, str]] = {}
         for c in self.cells:
             both.setdefault((c.map, c.kind, c.x, c.y), {})[c.engine] = c.outcome.code
-        pairs = [found for found in both.values() if len(found) > 1]
+        several = [found for found in both.values() if len(found) > 1]
+        pairs = [found for found in several if REFUSED not in found.values()]
+        if refused := len(several) - len(pairs):
+            yield f"{refused} runs of the maps are not compared: kncal refuses them."
         if pairs:
             alike = sum(len(set(found.values())) == 1 for found in pairs)
             yield f"LIGGGHTS and the builtin engine come to the same outcome in {alike} of {len(pairs)} runs of maps."

@@ -18,6 +18,9 @@ from kncal.stability.results import Stability
 from kncal.workflow import get_engine
 
 ENGINES = ("liggghts", "builtin")
+#: What is in the folder of a study: its record; rounds that measure the speed, where the case asks for it; runs.
+RECORD, SPEED, PROBES, BEDS = "stability.json", "speed", "probes", "beds"
+STARTED = (SPEED, PROBES, BEDS)
 #: Restitutions of the pressed probe whose damping is varied, and size ratios of the unequal pair.
 DAMPED = (1.0, 0.9, 0.5, 0.1)
 RATIOS = (10.0, 100.0)
@@ -62,7 +65,7 @@ def study_stability(
         profile = get_engine(engine).profile()
         if profile.program is None:
             raise SolverMissingError(profile.problem)
-        runner = liggghts_runner(folder / "probes", workers)
+        runner = liggghts_runner(folder / PROBES, workers)
     e_n = given.contact.e_n
     damped = (1.0, e_n) if quick else (*DAMPED, e_n)
     restitutions = sorted({1.0} if given.contact.law == "hertz" else {*damped}, reverse=True)
@@ -75,7 +78,7 @@ def study_stability(
     cells = outcome_maps(given, KINDS, runner, quick=quick, restitutions=varied)
     bed = []
     if isinstance(case, BedScene) and case.gas is not None and engine == "liggghts":
-        bed = bed_edges(case, folder / "beds", transport=transport, quick=quick, tell=say)
+        bed = bed_edges(case, folder / BEDS, transport=transport, quick=quick, tell=say)
     return Stability(
         given=given,
         engines=("builtin",) if engine == "builtin" else ("builtin", "liggghts"),

@@ -23,14 +23,16 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from kncal import __version__
+from kncal.bed.model import BedModel
 from kncal.bed.scene import BedScene
 from kncal.case_file import CASE, dump_case, load_case
 from kncal.case_text import read_case
 from kncal.checks import one_of, positive
 from kncal.engines.base import Engine
 from kncal.errors import CaseFileError, InputError, KncalError, ReadError
+from kncal.finding import Finding
 from kncal.io.tables import read_json, write_json, write_text
-from kncal.model import KINDS
+from kncal.model import KINDS, Model
 from kncal.mpi import check_ranks
 from kncal.overrides import parse_override
 from kncal.scene import Scene
@@ -41,6 +43,10 @@ DESIGN, RUNS = "sweep.json", "runs"
 _NAMED = 10
 
 Id = Annotated[str, Field(pattern="^[0-9a-f]{12}$")]
+
+
+#: Called with (id of a run, what is to be minded about it).
+OnWarnings = Callable[[str, tuple[Finding, ...]], None]
 
 
 class Refused(BaseModel):
@@ -137,6 +143,7 @@ def design(
     *,
     skip_bad: bool = False,
     progress: Callable[[int, int], None] | None = None,
+    warn: OnWarnings | None = None,
 ) -> tuple[Sweep, str]:
     """Check every point as far as that is possible without a run; return the design, and the text of the case file.
 
@@ -152,13 +159,15 @@ def design(
         Leave points out that cannot run (they are in ``Sweep.refused``) instead of refusing the sweep.
     progress : callable, optional
         Called with (points checked, points in all).
+    warn : callable, optional
+        Called with (id, what is to be minded about that run), once for each run of which there is something.
 
     Raises
     ------
     CaseFileError
         If the case is not valid, or points are not (each is named with its values and the reason).
     """
-    sweep, text, _ = design_points(case, points, settings, skip_bad=skip_bad, progress=progress)
+    sweep, text, _ = design_points(case, points, settings, skip_bad=skip_bad, progress=progress, warn=warn)
     if not sweep.runs:
         raise _refusal(sweep.refused)
     return sweep, text
@@ -171,6 +180,7 @@ def design_points(
     *,
     skip_bad: bool = False,
     progress: Callable[[int, int], None] | None = None,
+    warn: OnWarnings | None = None,
 ) -> tuple[Sweep, str, list[str | None]]:
     """Do as `design` does; return also the id of each point's run, None for a refused one. There may be no run at all.
 
@@ -192,7 +202,7 @@ def design_points(
             values = [str(override) for override in point]
             try:
                 scene = load_case(case, overrides=values) if values else base
-                check(scene)
+                models = check(scene)
                 written = dump_case(scene)
             except KncalError as error:
                 # the values stand beside the message anyway
@@ -202,6 +212,8 @@ def design_points(
                     break
             else:
                 ids.append(id_of(written))
+                if warn is not None and ids[-1] not in runs and (found := _warnings(models)):
+                    warn(str(ids[-1]), found)
                 runs.setdefault(str(ids[-1]), values)
             if progress is not None:
                 progress(done, len(points))
@@ -234,17 +246,17 @@ def _refusal(refused: Sequence[Refused]) -> CaseFileError:
 
 
 @contextmanager
-def _checker(settings: Settings, bed: bool) -> Iterator[Callable[[Scene | BedScene], None]]:
-    """Give what refuses a scene that cannot run: planning, limits, rendering."""
+def _checker(settings: Settings, bed: bool) -> Iterator[Callable[[Scene | BedScene], list[Model] | list[BedModel]]]:
+    """Give what refuses a scene that cannot run (planning, limits, rendering) and returns its models."""
     if bed:
         from kncal.bed.workflow import plan_checked
         from kncal.engines.coupled import check_bed_ranks
 
-        def check_bed(scene: Scene | BedScene) -> None:
+        def check_bed(scene: Scene | BedScene) -> list[BedModel]:
             if not isinstance(scene, BedScene):
                 raise CaseFileError("the case becomes one of single contacts; expected a bed like the case itself")
             check_bed_ranks(scene, settings.ranks)
-            plan_checked(scene, settings.models)
+            return list(plan_checked(scene, settings.models).values())
 
         yield check_bed
         return
@@ -255,13 +267,28 @@ def _checker(settings: Settings, bed: bool) -> Iterator[Callable[[Scene | BedSce
 
     with tempfile.TemporaryDirectory(prefix="kncal-") as draft:
 
-        def check_scene(scene: Scene | BedScene) -> None:
+        def check_scene(scene: Scene | BedScene) -> list[Model]:
             if isinstance(scene, BedScene):
                 raise CaseFileError("the case becomes a bed; expected a case of single contacts like the case itself")
-            for model in plan(scene, settings.models).values():
+            models = list(plan(scene, settings.models).values())
+            for model in models:
                 engine.render(model, Path(draft))
+            return models
 
         yield check_scene
+
+
+def _warnings(models: Sequence[Model] | Sequence[BedModel]) -> tuple[Finding, ...]:
+    """Return the limits that these models of one run come near to, each kind once."""
+    from kncal.bed.limits import check_bed
+    from kncal.scene_limits import check_scene
+
+    found: dict[str, Finding] = {}
+    for model in models:
+        for finding in check_bed(model) if isinstance(model, BedModel) else check_scene(model):
+            if finding.level == "warn":
+                found.setdefault(finding.code, finding)
+    return tuple(found.values())
 
 
 def write_design(folder: Path, sweep: Sweep, case_text: str) -> None:

@@ -18,6 +18,8 @@ NOT_NEEDED, EITHER, MATTERS = "not needed", "either", "matters"
 #: Verdicts without a judgement.
 UNDECIDED, CANNOT_RUN, DOES_NOT_APPLY = "undecided", "cannot run", "does not apply"
 
+#: File that says that a folder is that of a trim.
+RECORD = "trim.json"
 #: Told in one line what is done now.
 Tell = Callable[[str], None]
 

@@ -11,12 +11,12 @@ from kncal.errors import RenderError
 from kncal.figures import Figure
 from kncal.io.tables import write_csv, write_json, write_text
 from kncal.report import Table, page_template
-from kncal.trim.base import DOES_NOT_APPLY, CostChange, PartResult, Trim
+from kncal.trim.base import DOES_NOT_APPLY, RECORD, CostChange, PartResult, Trim
 from kncal.trim.figures import draw_figures
 from kncal.trim.judgement import change_text
 from kncal.units import quantity
 
-JSON, CSV, REPORT = "trim.json", "trim.csv", "report"
+CSV, REPORT = "trim.csv", "report"
 
 
 def write_trim(found: Trim, out: Path) -> Path:
@@ -37,8 +37,9 @@ def write_trim(found: Trim, out: Path) -> Path:
     if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
         raise RenderError(f"{folder}: expected a folder for the report (or nothing yet), not a file or a link")
     folder.mkdir(parents=True, exist_ok=True)
+    # first, since it says whose folder this is
+    write_json(out / RECORD, found.to_dict())
     write_text(out / CASE, dump_case(found.trimmed))
-    write_json(out / JSON, found.to_dict())
     rows = csv_rows(found)
     write_csv(out / CSV, pd.DataFrame(rows, columns=list(CSV_UNITS)), CSV_UNITS)
     figures: tuple[Figure, ...] = draw_figures(found, folder)
@@ -62,7 +63,7 @@ def write_trim(found: Trim, out: Path) -> Path:
             figures=figures,
             trimmed=dump_case(replace(found.trimmed)),
             trimmed_model=found.trimmed_model,
-            files=(f"../{CASE}", f"../{JSON}", f"../{CSV}"),
+            files=(f"../{CASE}", f"../{RECORD}", f"../{CSV}"),
         ),
     )
     return page

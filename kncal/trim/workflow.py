@@ -1,6 +1,7 @@
 """Trimming a scene: each part by itself, then everything that may go at once, then the trimmed case and its report.
 
 OUT/<case>.toml      the full scene as it was run (with the values of --set)
+OUT/speed/           the rounds that measure the impact speed, where the case asks for it
 OUT/runs/            the runs, as rounds of sweeps (see `kncal.study`); the same command again goes on
 OUT/trim.json, trim.csv, report/index.html, case.toml
 """
@@ -16,18 +17,20 @@ from kncal.bed.scene import BedScene
 from kncal.case_file import dump_case, load_case
 from kncal.checks import in_range, one_of
 from kncal.compare import RunData
-from kncal.errors import InputError, RunError
+from kncal.errors import CaseFileError, InputError, RunError
 from kncal.io.tables import write_text
 from kncal.measured import resolve_measured
 from kncal.model import KINDS
 from kncal.scene import Scene
 from kncal.study import Variant, VariantRun, run_variants
-from kncal.study.runs import OnStudyProgress
+from kncal.study.folders import refuse_other
+from kncal.study.runs import REFUSED, OnStudyProgress
 from kncal.trim.base import (
     CANNOT_RUN,
     DOES_NOT_APPLY,
     LEAVE_OUT,
     MATTERS,
+    RECORD,
     UNDECIDED,
     Attempt,
     Effect,
@@ -48,6 +51,7 @@ from kncal.trim.judgement import cannot_run, cost_text, describe, judge_part
 from kncal.trim.parts import parts_of
 
 FULL, FINE, RUNS = "full", "fine", "runs"
+MEASURED = "speed"
 #: Rounds of single contacts, which take no time.
 ROUNDS = 3
 #: So often something is put back before the full scene is left as it is.
@@ -103,17 +107,20 @@ def trim(
     """
     one_of("model", options.model, KINDS)
     scene = load_case(case, overrides=options.overrides)
+    rounds = options.rounds if options.rounds is not None else 1 if isinstance(scene, BedScene) else ROUNDS
+    in_range("rounds", rounds, 1, 1000)
+    parts_of(scene, options.model, options.parts)  # refuses an unknown one before anything runs
+    path = out / f"{scene.name}.toml"
+    refuse_other(out, RECORD, (path.name, RUNS, MEASURED))
+    home = Path(case).parent if Path(case).is_file() else Path(case)
+    if home.is_dir() and out.is_dir() and home.samefile(out):
+        raise InputError(f"{out}: holds the case itself, which would be written over: choose another --out")
     scene = resolve_measured(
-        scene, out, engine=options.engine, transport=options.transport, timeout=options.timeout, tell=tell
+        scene, out / MEASURED, engine=options.engine, transport=options.transport, timeout=options.timeout, tell=tell
     )
     tolerances = _tolerances(scene, options)
     parts = parts_of(scene, options.model, options.parts)
-    rounds = options.rounds if options.rounds is not None else 1 if isinstance(scene, BedScene) else ROUNDS
-    in_range("rounds", rounds, 1, 1000)
-    if out.is_symlink() or (out.exists() and not out.is_dir()):
-        raise InputError(f"{out}: expected a folder (or nothing yet), not a file or a link; choose another --out")
     out.mkdir(parents=True, exist_ok=True)
-    path = out / f"{scene.name}.toml"
     write_text(path, dump_case(scene))
     study = _Study(path, scene, out / RUNS, options, rounds, on_progress, tolerances)
     tried = [part for part in parts if not part.why_not]
@@ -178,6 +185,8 @@ class _Study:
 
     def _see_full(self) -> None:
         full = self.runs[FULL]
+        if full.status == REFUSED:
+            raise CaseFileError(f"the full scene cannot be run: {full.message}")
         if not full.completed:
             raise RunError(f"the full scene ended as {full.status!r}: {full.message}")
         if isinstance(self.scene, BedScene):

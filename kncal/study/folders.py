@@ -1,0 +1,35 @@
+"""The folder of a command that makes many runs of one case: its own, so that nothing else is written over there."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from pathlib import Path
+
+from kncal.errors import InputError
+from kncal.lock import LOCK
+
+
+def refuse_other(out: Path, record: str, started: Collection[str]) -> None:
+    """Refuse ``out`` if it is a file or a link, or holds anything without a ``record`` that says that it may.
+
+    ``started``: names that an earlier start may have left there before its record.
+
+    Raises
+    ------
+    InputError
+        Saying what is there; nothing was changed.
+    """
+    if out.is_symlink() or (out.exists() and not out.is_dir()):
+        raise InputError(f"{out}: expected a folder (or nothing yet), not a file or a link; choose another --out")
+    if not out.is_dir() or (out / record).is_file():
+        return
+    other = sorted(path.name for path in out.iterdir() if not _left(path.name, started))
+    if other:
+        raise InputError(
+            f"{out}: holds {', '.join(other[:3])}{' ...' if len(other) > 3 else ''} and no {record}: expected a new or "
+            "an empty folder, or that of the same command; choose another --out, nothing was changed"
+        )
+
+
+def _left(name: str, started: Collection[str]) -> bool:
+    return name == LOCK or name in started or (name.startswith(".") and name.endswith(".part"))
