@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from kncal.bed.scene import BedScene
 from kncal.errors import InputError
@@ -23,6 +23,12 @@ from kncal.material import Pair
 from kncal.model import PairContact
 from kncal.pair_contact import PairNumbers, numbers_of
 from kncal.scene import Scene
+
+if TYPE_CHECKING:
+    from kncal.observe import ContactEvent
+
+#: Key of the impacts of single contacts whose pairs are all alike.
+ALL = "all"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,8 +49,9 @@ class RunSpeeds:
     ----------
     scene, model : of the run, model "linear" or "hertz"
     begin, end : of the time that counts [s]; of single contacts all of it
-    speeds : "particles" and "walls" of a bed, "all" of single contacts -> ImpactSpeeds
-    pairs : the same keys -> MetPair (of single contacts the first that met)
+    speeds : "particles" and "walls" of a bed -> ImpactSpeeds; of single contacts `ALL`, or, where pairs met that
+        are not alike, the names of the first of each kind ("ball–floor"), in the order in which they met
+    pairs : the same keys -> MetPair (of pairs that are alike the first that met)
     enduring : of a bed's contacts, or None
     """
 
@@ -58,7 +65,7 @@ class RunSpeeds:
 
     @property
     def main(self) -> str:
-        """The key of the impacts that a case is calibrated at: of two particles, where there are any."""
+        """The key of the impacts that a case is calibrated at: the first of ``speeds`` that were any."""
         return next((kind for kind, found in self.speeds.items() if found.count), next(iter(self.speeds)))
 
     def stiffness(self, kind: str) -> tuple[StiffnessAt, ...]:
@@ -141,17 +148,26 @@ def _of_contacts(folder: Path) -> RunSpeeds:
     from kncal.workflow import load_run
 
     data = load_run(folder)
-    scene, contacts = data.model.scene, data.observations.contacts
-    pairs = {(a.name, b.name): (a, b) for a, b in scene.body_pairs()}
-    names = next((contact.pair for contact in contacts if contact.v_in > 0.0), next(iter(pairs)))
-    a, b = pairs[names]
-    met = MetPair(names=names, both=pair_of(a, b), numbers=pair_choice(scene, a, b), contact=data.model.contacts[names])
+    scene, contacts = data.model.scene, [event for event in data.observations.contacts if event.v_in > 0.0]
+    bodies = {(a.name, b.name): (a, b) for a, b in scene.body_pairs()}
+    alike: dict[tuple[object, ...], list[ContactEvent]] = {}
+    for event in contacts:
+        contact = data.model.contacts[event.pair]
+        like = (contact.m_eff, contact.R_eff, contact.E_eff, pair_choice(scene, *bodies[event.pair]))
+        alike.setdefault(like, []).append(event)
+    groups = list(alike.values()) or [[]]
+    met = []
+    for names in [group[0].pair for group in groups if group] or list(bodies)[:1]:
+        a, b = bodies[names]
+        numbers, contact = pair_choice(scene, a, b), data.model.contacts[names]
+        met.append(MetPair(names=names, both=pair_of(a, b), numbers=numbers, contact=contact))
+    keys = [ALL] if len(met) == 1 else ["–".join(pair.names) for pair in met]
     return RunSpeeds(
         scene=scene,
         model=data.model.kind,
         begin=0.0,
         end=data.model.t_end,
-        speeds={"all": contact_impact_speeds(contacts)},
-        pairs={"all": met},
+        speeds={key: contact_impact_speeds(group) for key, group in zip(keys, groups, strict=True)},
+        pairs=dict(zip(keys, met, strict=True)),
         enduring=None,
     )

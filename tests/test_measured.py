@@ -248,3 +248,57 @@ def test_a_bed_is_measured_by_the_impacts_of_its_particles(tmp_path: Path) -> No
     assert seen.main == "particles"
     assert seen.speeds["particles"].speeds["energy_weighted"].value == pytest.approx(resolved.contact.v_0, rel=1e-3)
     assert seen.enduring is not None
+
+
+BEADS = """
+[materials.rubber]
+young = 5e6
+poisson = 0.3
+density = 1000.0
+{beads}
+[[walls]]
+name = "floor"
+axis = "z"
+position = 0.0
+material = "rubber"
+[contact]
+e_n = 0.7
+v_0 = 1.0
+[run]
+until_time = 0.01
+"""
+
+
+def _bead(name: str, x: float, z: float, speed: tuple[float, float]) -> str:
+    velocity = [speed[0], 0.0, speed[1]]
+    return (
+        f'[[particles]]\nname = "{name}"\nmaterial = "rubber"\ndiameter = 0.01\n'
+        f"position = [{x}, 0.0, {z}]\nvelocity = {velocity}\n"
+    )
+
+
+def test_pairs_that_are_not_alike_are_told_apart(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Two beads fall on the floor at 1 and 2 m/s; far from it two meet at 3 m/s."""
+    beads = [
+        _bead("slow", 0.0, 0.006, (0.0, -1.0)), _bead("fast", 0.1, 0.006, (0.0, -2.0)),
+        _bead("left", 0.20, 0.5, (3.0, 0.0)), _bead("right", 0.211, 0.5, (0.0, 0.0)),
+    ]  # fmt: skip
+    case, out = tmp_path / "beads", tmp_path / "out"
+    case.mkdir()
+    (case / "case.toml").write_text(BEADS.format(beads="\n".join(beads)))
+    assert call("run", case, "--engine", "builtin", "--model", "linear", "--out", out) == 0
+    found = run_speeds(out / "linear")
+    assert set(found.speeds) == {"fast–floor", "left–right"}
+    on_floor, met = found.speeds["fast–floor"].speeds, found.speeds["left–right"].speeds
+    assert on_floor["mean"].value == pytest.approx(1.5, rel=1e-9)
+    assert on_floor["energy_weighted"].value == pytest.approx((1.0 + 8.0) / (1.0 + 4.0), rel=1e-9)
+    assert met["mean"].value == pytest.approx(3.0, rel=1e-9)
+    # of one speed a sphere on a wall of its material needs 2^0.6 times the stiffness of two spheres, and v^(2/5)
+    stiffness = {key: next(r.k_n.value for r in found.stiffness(key) if r.statistic == "mean") for key in found.speeds}
+    ratio = stiffness["fast–floor"] / stiffness["left–right"]
+    assert ratio == pytest.approx(2.0**0.6 * (1.5 / 3.0) ** 0.4, rel=1e-9)
+    capsys.readouterr()
+    assert call("kn", "--from-run", out) == 0
+    told = capsys.readouterr().out
+    assert "fast–floor: 2 impacts" in told
+    assert "left–right: 1 impacts" in told

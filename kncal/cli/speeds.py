@@ -65,20 +65,20 @@ def kn_from_run(folder: Path, uncertain: Sequence[str], picture: Path | None, *,
     for run, spread in zip(runs, spreads, strict=True):
         _print_run(run)
         for kind, propagation in spread.items():
-            print_propagation(f"{_WHO[kind]}, {run.model}", propagation)
+            print_propagation(f"{_WHO.get(kind, kind)}, {run.model}", propagation)
     if picture is not None:
         show.say(f"picture: {picture}")
 
 
 def _print_run(run: RunSpeeds) -> None:
-    from kncal.impact_speeds import STATISTICS
+    from kncal.impact_speeds import KINDS_OF_IMPACTS, STATISTICS
 
     contact = run.scene.contact
     for kind, found in run.speeds.items():
         pair = run.pairs[kind]
         window = f"{show.quantity(run.begin, 's')} to {show.quantity(run.end, 's')}"
         if not found.count:
-            show.say(f"{run.scene.name}, {run.model}, {_WHO[kind]}: no impact was seen in {window}\n")
+            show.say(f"{run.scene.name}, {run.model}, {_WHO.get(kind, kind)}: no impact was seen in {window}\n")
             continue
         rows = []
         doubts: dict[str, list[str]] = {}
@@ -87,7 +87,7 @@ def _print_run(run: RunSpeeds) -> None:
             rows.append([STATISTICS[row.statistic], f"{row.v_0.value:.4g}", _width(row.v_0), *stiffness])
             for why in filter(None, row.v_0.why.split("; ")):
                 doubts.setdefault(why, []).append(STATISTICS[row.statistic])
-        who = "–".join(pair.names) if kind == "all" else _WHO[kind]
+        who = _WHO[kind] if kind in KINDS_OF_IMPACTS else "–".join(pair.names)
         show.table(
             f"{run.scene.name}, {run.model}, {who}: {found.count} impacts in {window}",
             ["impact speed", "v_0 [m/s]", "95 %", f"k_n by {contact.method}", "95 % [N/m]"],
