@@ -65,7 +65,8 @@ def resolve_measured(
 ) -> _S:
     """Return the scene with a number for the impact speed that it asks to be measured; any other scene as it is.
 
-    Of a bed the impacts of two particles count (of a single particle those with walls), of single contacts all impacts.
+    Of a bed the impacts of two particles count (of a single particle those with walls), of single contacts
+    those of the pair that met first, and of pairs like it.
 
     Parameters
     ----------
@@ -78,7 +79,7 @@ def resolve_measured(
     Raises
     ------
     CaseFileError
-        If there is no speed to start at.
+        If there is no speed to start at, or the pair to measure at has a v_0 of its own.
     RunError
         If a round fails, if nothing met, or if k_n has not settled after the most rounds.
     """
@@ -166,6 +167,11 @@ def _judge(
             "bad-input",
         )
     pair = seen.pairs[seen.main]
+    if pair.numbers.v_0 != v_0:
+        raise CaseFileError(
+            f"{scene.name}: contact.v_0 is to be measured, but the pair that it is measured at, "
+            f"{'–'.join(pair.names)}, has a v_0 of its own, {pair.numbers.v_0} m/s, in contact.pairs: expected one of the two"
+        )
     calibration = calibration_for(scene.contact, pair.both, pair.numbers._replace(v_0=v_0, k_n=None))
     found = next(row for row in seen.stiffness(seen.main) if row.statistic == asked.statistic)
     if calibration is None or found.k_n is None:

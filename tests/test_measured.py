@@ -302,3 +302,9 @@ def test_pairs_that_are_not_alike_are_told_apart(tmp_path: Path, capsys: pytest.
     told = capsys.readouterr().out
     assert "fast–floor: 2 impacts" in told
     assert "left–right: 1 impacts" in told
+
+
+def test_a_pair_with_a_speed_of_its_own_is_not_measured_at(tmp_path: Path) -> None:
+    text = BALL.replace("[run]", '[[contact.pairs]]\nbetween = ["ball", "floor"]\nv_0 = 0.5\n[run]')
+    with pytest.raises(CaseFileError, match=r"ball–floor, has a v_0 of its own, 0\.5 m/s"):
+        resolve_measured(parse_case(text, name="ball"), tmp_path / "out", engine="builtin")
