@@ -170,7 +170,8 @@ def _judge(
     if pair.numbers.v_0 != v_0:
         raise CaseFileError(
             f"{scene.name}: contact.v_0 is to be measured, but the pair that it is measured at, "
-            f"{'–'.join(pair.names)}, has a v_0 of its own, {pair.numbers.v_0} m/s, in contact.pairs: expected one of the two"
+            f"{'–'.join(pair.names)}, has a v_0 of its own, {pair.numbers.v_0} m/s, in contact.pairs: "
+            "expected one of the two"
         )
     calibration = calibration_for(scene.contact, pair.both, pair.numbers._replace(v_0=v_0, k_n=None))
     found = next(row for row in seen.stiffness(seen.main) if row.statistic == asked.statistic)
