@@ -44,7 +44,7 @@ def stability(
 
     scene = load_case(case, overrides=overrides or ())
     folder = out if out is not None else Path("runs") / f"{scene.name}_stability"
-    refuse_other(folder, RECORD, STARTED)
+    refuse_other(folder, RECORD, STARTED, case)
     scene = measured(scene, folder / SPEED, engine=engine, transport=transport)
     with show.working("probes"):
         found = study_stability(scene, folder, engine=engine, quick=quick, transport=transport, workers=workers)

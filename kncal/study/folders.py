@@ -9,8 +9,8 @@ from kncal.errors import InputError
 from kncal.lock import LOCK
 
 
-def refuse_other(out: Path, record: str, started: Collection[str]) -> None:
-    """Refuse ``out`` if it is a file or a link, or holds anything without a ``record`` that says that it may.
+def refuse_other(out: Path, record: str, started: Collection[str], case: str | Path) -> None:
+    """Refuse ``out`` if it is a file or a link, holds the case, or anything without a ``record`` that says that it may.
 
     ``started``: names that an earlier start may have left there before its record.
 
@@ -21,6 +21,9 @@ def refuse_other(out: Path, record: str, started: Collection[str]) -> None:
     """
     if out.is_symlink() or (out.exists() and not out.is_dir()):
         raise InputError(f"{out}: expected a folder (or nothing yet), not a file or a link; choose another --out")
+    home = Path(case).parent if Path(case).is_file() else Path(case)
+    if home.is_dir() and out.is_dir() and home.samefile(out):
+        raise InputError(f"{out}: holds the case itself, which would be written over: choose another --out")
     if not out.is_dir() or (out / record).is_file():
         return
     other = sorted(path.name for path in out.iterdir() if not _left(path.name, started))

@@ -15,10 +15,11 @@ from pathlib import Path
 
 from kncal.bed.scene import BedScene
 from kncal.case_file import CASE, dump_case, load_case
-from kncal.errors import InputError, RenderError
+from kncal.errors import InputError
 from kncal.io.tables import write_csv, write_json, write_text
 from kncal.overrides import parse_override
 from kncal.scene import Scene
+from kncal.study.folders import refuse_other
 from kncal.trade.answer import describe, sentences, to_dict, to_frame
 from kncal.trade.base import Tell, Trade, TradeOptions, TradePoint
 from kncal.trade.front import Conclusion, conclude
@@ -27,6 +28,8 @@ from kncal.trade.points import check_reference
 
 #: Folder of the case that was traded, if it is not as in its file.
 START = "case"
+#: Says that a folder is a trade's.
+RECORD = "trade.json"
 _LONGEST_TITLE = 300
 #: Keys of [run] that a chosen contact takes along; its end was pinned for the sake of the costs.
 _KEPT = (("run", "steps_per_contact"), ("run", "dt"))
@@ -80,7 +83,7 @@ def run_trade(
     Raises
     ------
     InputError
-        If there is no tolerance to judge by, or an option is out of range.
+        If there is no tolerance to judge by, an option is out of range, or ``out`` holds anything else.
     CaseFileError, RunError
         As `kncal.trade.single.trade_contacts` and `kncal.trade.bed.trade_bed`.
     """
@@ -94,8 +97,7 @@ def run_trade(
     _check(options)
     options = replace(options, tolerances=dict(tolerances))
     told = tell or (lambda _: None)
-    if out.is_symlink() or (out.exists() and not out.is_dir()):
-        raise RenderError(f"{out}: expected a folder for the trade (or nothing yet), not a file or a link")
+    refuse_other(out, RECORD, (START, "start", "screening", "runs"), case)
     if overrides or scene.contact.measured is not None:
         case, scene = _written(scene, out, options, told)
     check_reference(case, options.reference)
@@ -149,7 +151,7 @@ def write_trade(case: str | Path, trade: Trade, out: Path) -> TradeResult:
     conclusion, found = conclude(trade), laws(trade)
     out.mkdir(parents=True, exist_ok=True)
     data = to_dict(trade, conclusion, found)
-    write_json(out / "trade.json", data)
+    write_json(out / RECORD, data)
     frame, units = to_frame(trade, conclusion)
     write_csv(out / "trade.csv", frame, units)
     chosen = out / CASE

@@ -111,10 +111,7 @@ def trim(
     in_range("rounds", rounds, 1, 1000)
     parts_of(scene, options.model, options.parts)  # refuses an unknown one before anything runs
     path = out / f"{scene.name}.toml"
-    refuse_other(out, RECORD, (path.name, RUNS, MEASURED))
-    home = Path(case).parent if Path(case).is_file() else Path(case)
-    if home.is_dir() and out.is_dir() and home.samefile(out):
-        raise InputError(f"{out}: holds the case itself, which would be written over: choose another --out")
+    refuse_other(out, RECORD, (path.name, RUNS, MEASURED), case)
     scene = resolve_measured(
         scene, out / MEASURED, engine=options.engine, transport=options.transport, timeout=options.timeout, tell=tell
     )

@@ -19,15 +19,15 @@ QUICK = TrimOptions(engine="builtin", rounds=1, parts=("damping",))
 def test_a_folder_of_other_things_is_refused(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_text("mine")
     with pytest.raises(InputError, match="nothing was changed"):
-        refuse_other(tmp_path, "trim.json", ("runs",))
+        refuse_other(tmp_path, "trim.json", ("runs",), "wall_impact")
     assert (tmp_path / name).read_text() == "mine"
 
 
 def test_what_a_killed_start_left_is_taken_up(tmp_path: Path) -> None:
-    refuse_other(tmp_path / "new", "trim.json", ())
+    refuse_other(tmp_path / "new", "trim.json", (), "wall_impact")
     for name in ("runs", ".lock", ".trim.json.x.part"):
         (tmp_path / name).mkdir()
-    refuse_other(tmp_path, "trim.json", ("runs",))
+    refuse_other(tmp_path, "trim.json", ("runs",), "wall_impact")
 
 
 @pytest.mark.parametrize("command", [["trim", "wall_impact"], ["stability", "wall_impact", "--quick"]])

@@ -51,6 +51,20 @@ def test_nothing_inside_is_exit_code_1_and_says_how_far(capsys, tmp_path):
     assert not (tmp_path / "trade" / "case.toml").exists()
 
 
+def test_nothing_of_the_users_is_written_over_or_removed(capsys, tmp_path):
+    kncal(capsys, "new", "wall_impact", tmp_path / "mine")
+    case = tmp_path / "mine" / "case.toml"
+    before = case.read_text()
+    code, _, err = kncal(capsys, "trade", case, "--out", case.parent, "--engine", "builtin")
+    assert code == 2
+    assert "holds the case itself" in err
+    assert case.read_text() == before
+    code, _, err = kncal(capsys, "trade", "falling_particle", "--out", case.parent, "--engine", "builtin")
+    assert code == 2
+    assert "holds case.toml and no trade.json" in err
+    assert case.read_text() == before
+
+
 @pytest.mark.parametrize(
     ("flags", "hint"),
     [
