@@ -9,19 +9,24 @@ EXAMPLES := 100000
 BED_DEMO := kncal compare bubbling_bed_mini --set run.end_time=0.1 --out $(BED_OUT)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo demo-bed fuzz adapter test lint clean setup setup-dev
+.PHONY: help demo demo-bed fuzz studies adapter test lint clean setup setup-dev
 
 help:
 	@echo 'make demo   set up everything, compare linear and Hertz contact: a falling particle, then the first tenth of a'
 	@echo '            second of a small bubbling bed; writes a report of each'
 	@echo 'make test   set up everything with the development tools, run all tests'
 	@echo 'make fuzz   set up likewise, feed the readers 1e5 damaged files each'
+	@echo 'make studies  set up likewise, make the numbers and figures in docs/studies anew (about an hour)'
 	@echo 'make lint   set up likewise, check style, formatting and types'
 	@echo 'make clean  remove .venv, the runs of the demo, builds and caches'
 
 # Damaged and invented input files, many of them (about an hour).
 fuzz: setup-dev
 	KNCAL_FUZZ=$(EXAMPLES) $(PYTHON) -m pytest tests/fuzz -n 2 --timeout 0
+
+# What is in runs/studies already is not run again.
+studies: setup adapter
+	$(PYTHON) docs/studies/make.py
 
 setup:
 	@bash .ci/setup.sh run

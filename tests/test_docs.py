@@ -197,6 +197,7 @@ TABLES: dict[str, type[case_schema.Table]] = {
     "`[[particles]]`": case_schema.ParticleTable,
     "`[[walls]]`": case_schema.WallTable,
     "`[contact]`": case_schema.ContactTable,
+    "`[contact.measured]`": case_schema.MeasuredTable,
     "`[[contact.pairs]]`": case_schema.PairTable,
     "`[run]`": case_schema.RunTable,
 }

@@ -1,0 +1,279 @@
+"""Make the numbers and figures of the studies: `make studies`, or `python docs/studies/make.py [STUDY ...]`.
+
+Runs the commands that stand in a page's ``sh`` block (what is in runs/studies already is not run again: kncal keeps its
+runs), puts tables between the ``<!-- begin NAME -->`` and ``<!-- end NAME -->`` of the page, and its figures beside it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import re
+import shlex
+import shutil
+import statistics
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from kncal.units import quantity
+
+HERE = Path(__file__).resolve().parent
+RUNS = Path("runs/studies")
+_SH = re.compile(r"^```sh\n(.*?)^```$", re.S | re.M)
+
+Rows = Sequence[Sequence[str]]
+
+
+def commands(page: Path) -> list[list[str]]:
+    """Return the kncal commands of a page's first ``sh`` block."""
+    found = _SH.search(page.read_text("utf-8"))
+    lines = "" if found is None else found[1].replace("\\\n", " ")
+    return [shlex.split(line) for line in lines.splitlines() if line.startswith("kncal ")]
+
+
+def run(words: list[str]) -> None:
+    """Run one command of kncal here; exit code 1 (nothing inside the tolerances) is an answer, too."""
+    kncal = Path(sys.executable).parent / "kncal"
+    print("$", shlex.join(words), flush=True)
+    code = subprocess.run([kncal, *words[1:]], check=False).returncode  # noqa: S603 - our own page's command
+    if code not in (0, 1):
+        raise SystemExit(f"{shlex.join(words)}: exit code {code}")
+
+
+def fill(page: Path, name: str, text: str) -> None:
+    """Put ``text`` between the marks called ``name`` of a page."""
+    before = page.read_text("utf-8")
+    marks = re.compile(rf"(<!-- begin {name} -->\n).*?(<!-- end {name} -->)", re.S)
+    if not marks.search(before):
+        raise SystemExit(f"{page}: no marks '<!-- begin {name} -->' ... '<!-- end {name} -->'")
+    page.write_text(marks.sub(lambda m: f"{m[1]}\n{text}\n\n{m[2]}", before), "utf-8")
+
+
+def table(head: Sequence[str], rows: Rows) -> str:
+    """Return a Markdown table."""
+    return "\n".join("| " + " | ".join(row) + " |" for row in [head, ["---"] * len(head), *rows])
+
+
+def read(folder: str) -> dict[str, Any]:
+    """Return the trade.json of a study's folder."""
+    found: dict[str, Any] = json.loads((RUNS / folder / "trade.json").read_text("utf-8"))
+    return found
+
+
+def share(error: dict[str, Any] | None) -> str:
+    """Return an error with its uncertainty in percent, with as many digits as the uncertainty leaves."""
+    if error is None or error["error"] is None:
+        return "–"
+    value, width = 100 * error["error"], 100 * (error["uncertainty"] or 0.0)
+    digits = 2 if width == 0.0 else min(max(1 - math.floor(math.log10(width)), 0), 3)
+    return f"{value:+.{digits}f} ± {width:.{digits}f} %"
+
+
+def contact(candidate: dict[str, Any]) -> str:
+    """Return a contact in words."""
+    factor, how = candidate["factor"] or 1.0, candidate["how"]
+    if candidate["variant"]["model"] == "hertz":
+        return "Hertz" if factor == 1.0 else f"Hertz, E / {_fold(factor)}"
+    if how == "limited_overlap":
+        return "linear, overlap " + candidate["name"].split("-")[2].replace("pct", " % of d")
+    return f"linear, k_n / {_fold(factor)}" if how == "softened" else f"linear, {how}"
+
+
+def _fold(factor: float) -> str:
+    return f"{1 / factor:,.0f}"
+
+
+def stiffness(point: dict[str, Any]) -> str:
+    """Return the stiffness of a point."""
+    return "–" if point["k_n"] is None else quantity(point["k_n"], "N/m", 3)
+
+
+def cost(point: dict[str, Any]) -> str:
+    """Return the CPU time of a point with its range."""
+    seconds = sorted(point["cpu_seconds"])
+    if not seconds:
+        return "–"
+    return f"{statistics.median(seconds):.3g} s" + (
+        f" ({seconds[0]:.3g}–{seconds[-1]:.3g})" if len(seconds) > 1 else ""
+    )
+
+
+def cheapest(trade: dict[str, Any], tolerance: float, metrics: Sequence[str]) -> dict[str, Any] | None:
+    """Return the cheapest point whose errors are within ``tolerance`` with their whole interval."""
+    by_cpu = trade["cost"] == "cpu_seconds"
+
+    def price(point: dict[str, Any]) -> float:
+        return float(statistics.median(point["cpu_seconds"]) if by_cpu else point["steps"])
+
+    def sure(point: dict[str, Any]) -> bool:
+        found = [point["errors"].get(metric) for metric in metrics]
+        return all(
+            e and e["error"] is not None and abs(e["error"]) + (e["uncertainty"] or 0) <= tolerance for e in found
+        )
+
+    inside = [p for p in trade["points"] if p["status"] == "completed" and (p["cpu_seconds"] or not by_cpu) and sure(p)]
+    return min(inside, key=price, default=None)
+
+
+def _none(trade: dict[str, Any], tolerance: float, metrics: Sequence[str]) -> str:
+    """Return that nothing is surely inside, and how many may be."""
+
+    def out(point: dict[str, Any]) -> bool:
+        found = [e for metric in metrics if (e := point["errors"].get(metric)) and e["error"] is not None]
+        return len(found) < len(metrics) or any(abs(e["error"]) - (e["uncertainty"] or 0) > tolerance for e in found)
+
+    done = [point for point in trade["points"] if point["status"] == "completed"]
+    return f"none is surely inside; {sum(not out(p) for p in done)} of {len(done)} are undecided"
+
+
+def savings(trade: dict[str, Any], metrics: Sequence[str]) -> Iterator[list[str]]:
+    """Yield, for 1 % and 5 %, the cheapest contact and what it saves over the reference and over Hertz at N = 50."""
+    reference = trade["reference"]
+    usual = next((p for p in trade["points"] if contact(p["candidate"]) == "Hertz" and _n(p) == 50), None)
+    for tolerance in (0.01, 0.05):
+        best = cheapest(trade, tolerance, metrics)
+        if best is None:
+            yield [f"{100 * tolerance:g} %", _none(trade, tolerance, metrics), "", "", ""]
+            continue
+        yield [
+            f"{100 * tolerance:g} %",
+            f"{contact(best['candidate'])}, N = {_n(best):g}",
+            stiffness(best),
+            _times(reference, best),
+            "–" if usual is None else _times(usual, best),
+        ]
+
+
+def _n(point: dict[str, Any]) -> float:
+    return float(point["candidate"]["steps_per_contact"])
+
+
+def _times(dear: dict[str, Any], cheap: dict[str, Any]) -> str:
+    """Return the saving in steps, and in CPU time round by round where the runs are long enough to tell."""
+    text = f"{dear['steps'] / cheap['steps']:.3g} × fewer steps"
+    rounds = [a / b for a, b in zip(dear["cpu_seconds"], cheap["cpu_seconds"], strict=False) if b > 0]
+    if not rounds:
+        return text
+    middle = statistics.median(rounds)
+    spread = f" ({min(rounds):.3g}–{max(rounds):.3g})" if len(rounds) > 1 else ""
+    return f"{text}, {middle:.3g} × less CPU{spread}"
+
+
+def softened(trade: dict[str, Any], steps: float, metrics: Sequence[str]) -> str:
+    """Return the table of the softened contacts at N = ``steps``, the unsoftened ones first."""
+    rows = []
+    for point in trade["points"]:
+        candidate = point["candidate"]
+        plain = candidate["how"] in ("softened", "reduced_modulus") or candidate["factor"] == 1.0
+        if not plain or _n(point) != steps:
+            continue
+        if point["status"] != "completed":
+            blank = ["–"] * (3 + len(metrics))
+            rows.append([contact(candidate), *blank, f"{point['status']}: {_reason(point['message'])}"])
+            continue
+        numbers = [stiffness(point), f"{point['steps']:,}", cost(point)]
+        rows.append([contact(candidate), *numbers, *(share(point["errors"].get(m)) for m in metrics), changed(point)])
+    return table(["contact", "k_n", "steps", "CPU", *metrics, "what softness changed"], rows)
+
+
+def changed(point: dict[str, Any]) -> str:
+    """Return the signs of softness of a point in a few words."""
+    return ", ".join(sign["name"].replace("_", " ") for sign in point["signs"] if sign["changed"])
+
+
+def _reason(message: str) -> str:
+    """Return the beginning of a reason, up to what was expected instead."""
+    return message.partition(": expected")[0]
+
+
+def figures(page: Path, folder: str, names: Sequence[str]) -> None:
+    """Copy pictures of a trade's report beside the page."""
+    (HERE / "img").mkdir(exist_ok=True)
+    for name in names:
+        shutil.copyfile(RUNS / folder / "report" / name, HERE / "img" / f"{page.stem}_{name}")
+
+
+def answer(trade: dict[str, Any]) -> str:
+    """Return the sentences of a trade as a list."""
+    return "\n".join(f"- {sentence}" for sentence in trade["verdict"])
+
+
+#: What the motion is, and what the contact is.
+MOTION, CONTACT = ("e_n", "rebound_height", "trajectory"), ("delta_max", "t_c")
+
+
+def falling_particle(page: Path) -> None:
+    """Fill the page of the falling particle."""
+    trade = read(page.stem)
+    both = [["motion", *row] for row in savings(trade, MOTION)] + [["contact", *row] for row in savings(trade, CONTACT)]
+    fill(page, "savings", table(["what", *SAVINGS], both))
+    fill(page, "softened", softened(trade, 50, (*MOTION, *CONTACT)))
+    fill(page, "answer", answer(trade))
+    figures(page, page.stem, ("front.png", "split.png", "law.png"))
+
+
+def wall_impact(page: Path) -> None:
+    """Fill the page of the wall impact over e_n and v_0."""
+    rows, soft = [], []
+    for words in commands(page):
+        values = dict(words[i + 1].split("=") for i, word in enumerate(words) if word == "--set")
+        folder = Path(words[words.index("--out") + 1]).name
+        trade = read(folder)
+        e_n, v_0 = values["contact.e_n"], values["particles.sphere.velocity"].strip("[]").split(",")[2].lstrip("- ")
+        rows += [[e_n, f"{v_0} m/s", *row] for row in savings(trade, ("e_n",))]
+        for point in trade["points"]:
+            if (
+                point["candidate"]["how"] in ("mean_overlap", "softened")
+                and _n(point) == 50
+                and point["status"] == "completed"
+            ):
+                errors = [share(point["errors"].get(m)) for m in ("e_n", "delta_max", "t_c")]
+                soft.append([e_n, f"{v_0} m/s", contact(point["candidate"]), stiffness(point), *errors, changed(point)])
+    fill(page, "savings", table(["e_n", "v_0", *SAVINGS], rows))
+    fill(
+        page,
+        "softened",
+        table(["e_n", "v_0", "contact", "k_n", "e_n error", "delta_max", "t_c", "what softness changed"], soft),
+    )
+
+
+def bubbling_bed_mini(page: Path) -> None:
+    """Fill the page of the small bubbling bed."""
+    trade = read(page.stem)
+    metrics = tuple(trade["tolerances"])
+    fill(page, "savings", table(SAVINGS, list(savings(trade, metrics))))
+    fill(page, "softened", softened(trade, min(_n(p) for p in trade["points"]), metrics))
+    fill(page, "answer", answer(trade))
+    figures(page, page.stem, ("front.png",))
+
+
+SAVINGS = ("tolerance", "cheapest contact inside", "k_n", "over the reference", "over Hertz, N = 50")
+STUDIES: dict[str, Callable[[Path], None]] = {
+    "falling_particle": falling_particle,
+    "wall_impact": wall_impact,
+    "bubbling_bed_mini": bubbling_bed_mini,
+}
+
+
+def main() -> None:
+    """Make the studies asked for, or all."""
+    parser = argparse.ArgumentParser(description="Make the numbers and figures of the studies.")
+    parser.add_argument("study", nargs="*", choices=[*STUDIES, []], help="default: all")
+    parser.add_argument("--fill-only", action="store_true", help="run nothing, take the results that are there")
+    given = parser.parse_args()
+    for name in given.study or STUDIES:
+        page = HERE / f"{name}.md"
+        if not given.fill_only:
+            RUNS.mkdir(parents=True, exist_ok=True)
+            for words in commands(page):
+                run(words)
+        STUDIES[name](page)
+        print(f"{page.name}: filled")
+
+
+if __name__ == "__main__":
+    main()
