@@ -54,6 +54,10 @@ class PairContact:
     k_t: float
     warnings: Mapping[str, str] = field(default_factory=dict)
 
+    def overlap_under(self, force: float) -> float:
+        """Return the overlap [m] at which the spring carries ``force`` [N]: (F/k)^(1/n)."""
+        return float((force / self.k) ** (1.0 / self.n))
+
 
 @dataclass(frozen=True, kw_only=True)
 class Model:

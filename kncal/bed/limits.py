@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kncal.bed.load import bottom_overlaps, layers
 from kncal.bed.model import BedModel
 from kncal.bed.scene import BedScene, Gas
 from kncal.checks import Array
@@ -24,7 +25,6 @@ from kncal.fluidization import (
     relaxation_time,
     terminal_velocity,
 )
-from kncal.material import sphere_mass
 from kncal.timestep import predict_error, verlet_limit
 
 #: Void fraction of a settled packing of equal spheres, where no positions are given to measure it.
@@ -284,22 +284,19 @@ def _contact_steps(model: BedModel) -> Iterator[Finding]:
 
 
 def _static(model: BedModel) -> Iterator[Finding]:
-    """A particle at the bottom carries the weight of the bed above its own cross-section d² (side walls carry none)."""
-    p, column = model.scene.particles, model.scene.column
+    p = model.scene.particles
     if p.frozen or p.count == 0:
         return
-    layers = max(p.count * p.diameter**2 / (column.width * column.depth), 1.0)
-    load = float(sphere_mass(p.material, p.diameter / 2.0)) * model.scene.gravity * layers
-    for (a, b), contact in model.contacts.items():
-        share = (load / contact.k) ** (1.0 / contact.n) / p.diameter
+    for (a, b), overlap in bottom_overlaps(model).items():
+        share = overlap / p.diameter
         if share > STATIC_LARGE:
             refused = share >= STATIC_LARGEST
             yield Finding(
                 "static-overlap",
                 "refuse" if refused else "warn",
-                f"{a}–{b}: the weight of {layers:.3g} layers needs an overlap of {share:.2g} diameters at the bottom "
-                f"of the bed{': the contact cannot carry it' if refused else ''}: expected at most {STATIC_LARGE:g}; "
-                "take a stiffer contact",
+                f"{a}–{b}: the weight of {layers(model.scene):.3g} layers needs an overlap of {share:.2g} diameters at "
+                f"the bottom of the bed{': the contact cannot carry it' if refused else ''}: expected at most "
+                f"{STATIC_LARGE:g}; take a stiffer contact",
             )
 
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
+from kncal.bed.load import bottom_load
 from kncal.bed.model import BedModel
 from kncal.bed.needs import decide
 from kncal.bed.scene import BedScene
 from kncal.errors import CaseFileError
-from kncal.material import Pair, pair, sphere_mass, wall_pair
+from kncal.material import Pair, pair, wall_pair
 from kncal.model import KINDS, PairContact
 from kncal.needs import Needs
 from kncal.pair_contact import Rest, numbers_of, pair_contact, smooth
@@ -102,10 +103,8 @@ def _contacts(scene: BedScene, kind: str, needs: Needs) -> dict[tuple[str, str],
         PARTICLES: (PARTICLES, particles.material.name),
         WALLS: (WALLS, "rigid" if column.wall_material is None else column.wall_material.name),
     }
-    # Prescribed k_n and no impact speed: the Hertz contact is judged at the bottom of the settled bed, where a
-    # particle carries the weight of the bed above its own cross-section (d²).
-    weight = float(sphere_mass(particles.material, particles.diameter / 2.0)) * scene.gravity
-    share = particles.count * particles.diameter**2 / (column.width * column.depth)
+    # Prescribed k_n and no impact speed: the Hertz contact is judged at the bottom of the settled bed.
+    load = bottom_load(scene)
     contacts = {}
     for (a, b), both in bed_pairs(scene).items():
         numbers = numbers_of(scene.contact, scene.contact.exception(materials[a], materials[b]))
@@ -119,7 +118,7 @@ def _contacts(scene: BedScene, kind: str, needs: Needs) -> dict[tuple[str, str],
             both,
             numbers,
             kind,
-            Rest(0.0, weight * max(share, 1.0)),
+            Rest(0.0, load),
             scene=scene.name,
             names=f"{a} and {b}",
         )

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from kncal.bed.load import bottom_overlaps
 from kncal.bed.model import BedModel
 from kncal.bed.planning import PARTICLES, WALLS, plan_bed
 from kncal.bed.scene import BedScene
@@ -25,7 +26,6 @@ from kncal.study.variants import removing
 from kncal.timestep import predict_error
 from kncal.trade.base import TradeOptions
 from kncal.trade.points import Contact, merged, own_name, share_name, softer_materials
-from kncal.trade.softness import bottom_overlap
 
 #: The packing that all runs start from is settled by a spring under which the bottom of the bed overlaps so much of the
 #: diameter, where the case's own is more than `STIFF` times as stiff: to settle a real modulus would take longer than
@@ -85,7 +85,7 @@ def fluidised(scene: BedScene) -> bool:
 def settling(scene: BedScene) -> tuple[BedScene, str]:
     """Return the scene to settle, softer where the case's own contact is too stiff for that, and a note."""
     model = plan_bed(scene, ("linear",))["linear"]
-    overlap = bottom_overlap(model)[0]
+    overlap = bottom_overlaps(model).get((PARTICLES, PARTICLES), 0.0)
     wanted = START_OVERLAP * scene.particles.diameter
     if overlap <= 0.0 or wanted < STIFF * overlap:
         return scene, ""

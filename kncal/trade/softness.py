@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from kncal.bed.compare import BedRunData
+from kncal.bed.load import bottom_overlaps
 from kncal.bed.model import BedModel
 from kncal.bed.quantities import OVERLAP_LIMIT
 from kncal.checks import Array
@@ -50,11 +51,6 @@ def signs(data: RunData | BedRunData, reference: RunData | BedRunData | None = N
     return _contacts(data, reference.model if isinstance(reference, RunData) else None)
 
 
-def overlap_under(contact: PairContact, force: float) -> float:
-    """Return the overlap [m] at which the spring carries ``force`` [N]: (F/k)^(1/n)."""
-    return float((force / contact.k) ** (1.0 / contact.n))
-
-
 def sound_speed(contact: PairContact, diameter: float, mass: float) -> float:
     """Return the speed of long waves along a chain of equal particles [m/s]: d sqrt(k_n/m).
 
@@ -77,27 +73,13 @@ def secant(contact: PairContact) -> float:
     return math.pi**2 * contact.m_eff / contact.t_c**2
 
 
-def bottom_overlap(model: BedModel) -> tuple[float, float]:
-    """Return the overlaps [m] of two particles, and of a particle and the floor, at the bottom of the bed at rest.
-
-    A particle there carries the weight of all above its own cross-section d²: N m g d²/(floor area), at least its own.
-    Both are 0 for a bed without contacts.
-    """
-    scene = model.scene
-    particles, column = scene.particles, scene.column
-    weight = float(sphere_mass(particles.material, particles.diameter / 2.0)) * scene.gravity
-    force = weight * max(particles.count * particles.diameter**2 / (column.width * column.depth), 1.0)
-    found = [overlap_under(contact, force) for contact in model.contacts.values()]
-    return (found[0], found[1]) if len(found) == 2 else (0.0, 0.0)
-
-
 def model_signs(model: BedModel) -> tuple[Sign, ...]:
     """Return the signs of a bed that need no run: the overlap under its weight, and the speed of sound."""
     if not model.contacts:
         return ()
     scene = model.scene
     d = scene.particles.diameter
-    return (_static(max(bottom_overlap(model)) / d, "at the bottom of the bed at rest"), _bed_sound(model))
+    return (_static(max(bottom_overlaps(model).values()) / d, "at the bottom of the bed at rest"), _bed_sound(model))
 
 
 # --- beds ---------------------------------------------------------------------
@@ -204,7 +186,7 @@ def _at_rest(model: Model, pair: tuple[str, str]) -> float:
     scene = model.scene
     masses = [_mass(p) for p in scene.particles if p.name in pair]
     pull = float(np.linalg.norm(scene.gravity))
-    return overlap_under(model.contacts[pair], min(masses) * pull)
+    return model.contacts[pair].overlap_under(min(masses) * pull)
 
 
 def _through(data: RunData) -> int:

@@ -11,12 +11,13 @@ from bed.compared_beds import SCENE, run_data
 from hypothesis import given
 from hypothesis import strategies as st
 
+from kncal.bed.load import bottom_overlaps
 from kncal.bed.planning import plan_bed
 from kncal.case_file import load_scene
 from kncal.impact import dimensionless_impact
 from kncal.model import PairContact
 from kncal.scene import ContactChoice
-from kncal.trade.softness import bottom_overlap, overlap_under, secant, signs, sound_speed
+from kncal.trade.softness import secant, signs, sound_speed
 from kncal.workflow import get_engine, load_run, run_case
 
 D, RHO, G = SCENE.particles.diameter, 1000.0, SCENE.gravity
@@ -38,7 +39,7 @@ def contact(k: float, n: float = 1.0, **changes) -> PairContact:
 
 @given(st.floats(1e-3, 1e9), st.sampled_from([1.0, 1.5]), st.floats(1e-9, 1e3))
 def test_the_spring_carries_the_force_at_its_overlap(k, n, force):
-    assert k * overlap_under(contact(k, n), force) ** n == pytest.approx(force, rel=1e-12)
+    assert k * contact(k, n).overlap_under(force) ** n == pytest.approx(force, rel=1e-12)
 
 
 def test_overlaps_of_a_column_of_particles_at_rest():
@@ -51,7 +52,7 @@ def test_overlaps_of_a_column_of_particles_at_rest():
         particles=replace(SCENE.particles, count=number),
         contact=ContactChoice(e_n=0.9, v_0=0.5, k_n=k),
     )
-    pair, floor = bottom_overlap(plan_bed(scene, ("linear",))["linear"])
+    pair, floor = bottom_overlaps(plan_bed(scene, ("linear",))["linear"]).values()
     # K u = m g: displacements u, from the lowest up; each joined to the one below (the lowest to the floor)
     stiffness = k * (2.0 * np.eye(number) - np.eye(number, k=1) - np.eye(number, k=-1))
     stiffness[-1, -1] = k
