@@ -12,6 +12,7 @@ from kncal.bed.export import write_series_csv
 from kncal.bed.figures import draw_bed_figures
 from kncal.bed.model import BedModel
 from kncal.bed.report_lines import lines_of, names_of, with_uncertainty
+from kncal.bed.report_speeds import speeds_section
 from kncal.errors import RenderError
 from kncal.io.tables import write_csv, write_json, write_text
 from kncal.report import CONTACT_ENDS, Table, page_template
@@ -64,6 +65,7 @@ def write_bed_report(
         raise RenderError(f"{folder}: expected a folder for the report (or nothing yet), not a file or a link")
     folder.mkdir(parents=True, exist_ok=True)
     figures = draw_bed_figures(comparison, folder)
+    speeds = speeds_section(comparison, folder)
     texts = list(dict.fromkeys((*warnings, *_contact_warnings(comparison))))
     write_json(
         folder / "comparison.json",
@@ -93,6 +95,7 @@ def write_bed_report(
             invariants=_invariant_table(comparison),
             warnings=texts,
             figures=figures,
+            speeds=speeds,
             settings=_settings(comparison),
             conventions=_conventions(comparison.linear.model, comparison.hertz.model, names_of(lines.rows)),
             provenance=provenance,

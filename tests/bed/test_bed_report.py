@@ -8,6 +8,7 @@ from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 from compared_beds import MEANS, SCENE, run_data
@@ -193,3 +194,38 @@ def test_value_and_uncertainty_share_a_unit():
     assert with_uncertainty(0.5, 0.01, "–") == "0.500 ± 0.010"
     assert with_uncertainty(0.0099, 0.0001, "m²/s²") == "0.00990 ± 0.00010 m²/s²"
     assert with_uncertainty(None, None, "Pa") == "–"
+
+
+def with_impacts(data, particles: float, walls: float):
+    """The same run with exponential impact speeds of these means: energy-weighted they are three times that."""
+    edges = np.concatenate([[0.0], np.geomspace(1e-4, 100.0, 121)])
+    generator, n = np.random.default_rng(3), len(data.series.t)
+    v = generator.exponential(np.array([particles, walls])[None, :, None], (n, 2, 100))
+    counts = np.array([[np.histogram(pair, edges)[0] for pair in row] for row in v], dtype=np.int32)
+    series = replace(
+        data.series,
+        facts=replace(data.series.facts, impact_edges=tuple(edges)),
+        watched=np.full(n, 1e-3),
+        impacts=counts,
+        impact_sums=np.stack([v.sum(-1), (v**2).sum(-1), (v**3).sum(-1)], axis=-1),
+    )
+    return replace(data, series=series)
+
+
+def test_impact_speeds_stand_beside_the_one_calibrated_at(comparison, tmp_path):
+    """v_0 is 0.5 m/s: far above the particles' energy-weighted 0.15 m/s, just that of the walls."""
+    runs = [with_impacts(data, 0.05, 0.5 / 3.0) for data in (comparison.linear, comparison.hertz)]
+    path = write(compare_beds(*runs), tmp_path)
+    page = Page(path)
+    for run in ("linear", "Hertz"):
+        assert f"{run}, two particles: v_0 = 500 mm/s is above the energy-weighted mean" in page.text
+        assert f"{run}, particle and wall: v_0" not in page.text
+    assert "not recorded" not in page.text
+    pictures = {image["src"] for image in page.all("img")}
+    assert {"impact_speeds_linear.svg", "impact_speeds_hertz.svg"} <= pictures
+    assert all((path.parent / name).stat().st_size for name in pictures)
+
+
+def test_runs_without_a_record_of_impact_speeds_say_so(report):
+    assert Page(report).text.count("impact speeds are not recorded in this run") == 2
+    assert not list(report.parent.glob("impact_speeds*"))
