@@ -17,9 +17,12 @@ from kncal.model import KINDS
 #: Every state of a run.
 STATES = ("rendered", "running", "completed", "timed_out", "interrupted", "not_installed", "failed")
 
+#: What the commands of many runs write last into their folders -> the command.
+RECORDS: Mapping[str, str] = {f"{name}.json": f"kncal {name}" for name in ("sweep", "trade", "trim", "stability")}
+
 #: What to do about a run that ended in this state, or of this failure.
 ADVICE: Mapping[str, str] = {
-    "timed_out": "the same command again with a larger --timeout; a bed goes on from its last checkpoint",
+    "timed_out": "the same command again with more time (--timeout, of kncal trade --budget); a bed goes on from there",
     "interrupted": "the same command again; a bed goes on from its last checkpoint",
     "not_installed": "kncal doctor names what is missing, and how to install it",
     "killed": "the same command again; if it was killed for want of memory, run fewer at a time",
@@ -114,6 +117,11 @@ def find_run_folders(root: Path) -> Iterator[Path]:
             folders.clear()
         else:
             folders[:] = sorted(f for f in folders if not f.startswith("attempt-"))
+
+
+def command_of(folder: Path) -> str:
+    """Return the command of many runs whose folder this is, e.g. "kncal trade"; empty if it is none's."""
+    return next((command for record, command in RECORDS.items() if (folder / record).is_file()), "")
 
 
 def holder(out: Path) -> str:

@@ -196,3 +196,16 @@ def test_a_running_run_is_seen_with_its_owner(twice: Path) -> None:
 def test_there_is_advice_for_every_end_that_is_no_success() -> None:
     bad = {*FAILURES, *STATES} - {"rendered", "running", "completed", "failed"}
     assert set(ADVICE) == bad
+
+
+@pytest.mark.parametrize("command", ["trade", "trim", "stability"])
+def test_the_folder_of_many_runs_is_told_from_that_of_a_case(twice: Path, tmp_path: Path, command: str) -> None:
+    """Its runs are found inside; a report of two models is not what it holds."""
+    out = tmp_path / "many"
+    (out / "runs").mkdir(parents=True)
+    twice.rename(out / "runs" / "round-1")
+    (out / f"{command}.json").write_text("{}")
+    seen = kncal("status", out)
+    assert f"made by kncal {command}" in seen.stdout and "2 completed" in seen.stdout
+    refused = kncal("report", out)
+    assert refused.returncode == 2 and f"that of kncal {command}" in refused.stderr

@@ -256,8 +256,14 @@ def report(folder: Path, *, out: Annotated[Path | None, Parameter(name="--out")]
         Folder of the report; default FOLDER/report.
     """
     from kncal.compare import compare as compare_runs
+    from kncal.states import command_of
     from kncal.workflow import complete, load_both
 
+    if command := command_of(folder):
+        raise InputError(
+            f"{folder}: that of {command}, not the run folder of one case; the same {command} again writes what it "
+            "reports there anew, and runs nothing that is done"
+        )
     if _is_bed(folder):
         compare_bed(folder, out or folder / "report", json=False)
         return 0

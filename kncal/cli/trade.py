@@ -137,15 +137,16 @@ def _factors(given: Iterable[str]) -> tuple[float, ...]:
 
 
 def _print(result: TradeResult) -> None:
-    from kncal.trade.report import NEAR, near_front, point_table
+    from kncal.trade.report import NEAR, point_table, shown_points
 
     shown, conclusion = result.trade, result.conclusion
-    near = near_front(shown, conclusion)
+    near = shown_points(shown, conclusion)
     front = [shown.reference, *near]
     found = point_table(shown, conclusion, front)
     last = len(found.headings) - 1
-    show.table(f"{shown.case}: the Pareto front", found.headings, found.rows, text=(0, last - 1, last))
-    if len(near) < len(conclusion.front):
+    title = f"{shown.case}: the contacts that ran" if shown.bed else f"{shown.case}: the Pareto front"
+    show.table(title, found.headings, found.rows, text=(0, last - 1, last))
+    if not shown.bed and len(near) < len(conclusion.front):
         show.say(f"{len(conclusion.front) - len(near)} points of the front are more than {NEAR:g} times outside.")
     for sentence in result.sentences:
         show.say(sentence)

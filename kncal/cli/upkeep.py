@@ -34,7 +34,7 @@ def status(
     """
     from dataclasses import asdict
 
-    from kncal.states import case_states, find_run_folders
+    from kncal.states import case_states, command_of, find_run_folders
     from kncal.sweep.design import DESIGN
 
     if not folder.is_dir():
@@ -46,6 +46,9 @@ def status(
     if json:
         show.as_json([asdict(state) | {"folder": str(state.folder)} for state in states])
         return
+    page = folder / "report" / "index.html"
+    if command := command_of(folder):
+        show.say(f"{folder}: made by {command}" + (f"; its report: {page}" if page.is_file() else ""))
     if not states:
         show.say(f"{folder}: no runs in it")
         return

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kncal.trade.base import Candidate, Trade, TradePoint
-from kncal.trade.front import Conclusion, SpeedUp, Turn, changed, cost, verdict, worst_ratio
+from kncal.trade.front import Conclusion, SpeedUp, Turn, changed, cost, failing, verdict, worst_ratio
 from kncal.trade.law import Law
 from kncal.units import quantity
 
@@ -58,13 +58,63 @@ def _choice(trade: Trade, conclusion: Conclusion) -> str:
         return f"Cheapest contact inside the tolerances ({limits}): {describe(chosen.candidate)}{k_n}."
     if conclusion.nearest is None:
         return f"No contact is inside the tolerances ({limits}): no point completed."
-    by = ", ".join(
-        f"{metric} " + ("not computed" if ratio == math.inf else _failing(conclusion.nearest, metric, ratio, trade))
-        for metric, ratio in conclusion.failing.items()
-    )
+    if trade.bed:
+        return f"No contact is surely inside the tolerances ({limits}): {_of_bed(trade, conclusion)}"
+    nearest = conclusion.nearest
     return (
-        f"No contact is surely inside the tolerances ({limits}). Nearest: {describe(conclusion.nearest.candidate)}; "
-        f"there {by}."
+        f"No contact is surely inside the tolerances ({limits}). Nearest: {describe(nearest.candidate)}; "
+        f"there {_there(nearest, trade)}."
+    )
+
+
+def _of_bed(trade: Trade, conclusion: Conclusion) -> str:
+    """Say whether the contacts of a bed are outside or only undecided, and what would decide."""
+    ran = [verdict(p, trade.tolerances) for p in trade.points if p.completed]
+    counts = {word: ran.count(word) for word in ("outside", "undecided", "missing")}
+    told = {"outside": "surely outside", "undecided": "only undecided", "missing": "without a metric that has one"}
+    of = ", ".join(f"{number} {told[word]}" for word, number in counts.items() if number)
+    point = conclusion.promising
+    if point is None:
+        nearest = conclusion.nearest
+        last = "" if nearest is None else f" Nearest: {describe(nearest.candidate)}; there {_there(nearest, trade)}."
+        return f"of {len(ran)} that ran, {of}.{last}"
+    return (
+        f"of {len(ran)} that ran, {of}. The cheapest that may be inside: {describe(point.candidate)}; "
+        f"there {_there(point, trade)}. {_decides(trade, point)}"
+    )
+
+
+def _there(point: TradePoint, trade: Trade) -> str:
+    return ", ".join(
+        f"{metric} " + ("not computed" if ratio == math.inf else _failing(point, metric, ratio, trade))
+        for metric, ratio in failing(point, trade.tolerances).items()
+    )
+
+
+def _decides(trade: Trade, point: TradePoint) -> str:
+    """Say how long a point of a bed and the reference have to run until nothing of the point is undecided."""
+    needed = needed_end_time(trade, point)
+    if needed is None:
+        return "How long a run would decide is not known: more than 100 times as long, or it cannot be predicted."
+    ends = f"it and the reference have to come to about {needed:.2g} s of simulated time"
+    more, end = 0.0, math.inf
+    for p in (point, trade.reference):
+        price = cost(trade, p)
+        if not price or not p.steps or not p.dt:
+            return f"To decide, {ends}."
+        length = p.steps * p.dt  # of the whole run [s]
+        end = min(end, length)
+        more += price * max(needed / length - p.ran_share, 0.0)
+    shares = " and ".join(f"{100.0 * p.ran_share:.0f} %" for p in (point, trade.reference))
+    now = f"now {shares} of {end:.3g} s"
+    if needed <= end:
+        return (
+            f"To decide, {ends} ({now}): about {more:.2g} CPU s more for the two; a larger --budget goes on with them."
+        )
+    whole = sum((cost(trade, p) or 0.0) for p in (point, trade.reference)) * needed / end
+    return (
+        f"To decide, {ends} ({now}): run.end_time = {needed:.2g} or more, which takes about {whole:.2g} CPU s"
+        " for the two."
     )
 
 
@@ -95,8 +145,17 @@ def _more(trade: Trade, other: TradePoint, conclusion: Conclusion) -> str:
 def _failing(point: TradePoint, metric: str, ratio: float, trade: Trade) -> str:
     error = point.errors[metric]
     width = "" if error.uncertainty is None else f" ± {100.0 * error.uncertainty:.2g} %"
-    what = error.verdict(trade.tolerances[metric])
-    return f"is {100.0 * (error.error or 0.0):+.3g} %{width}, up to {ratio:.3g} times its tolerance ({what})"
+    value = f"is {100.0 * (error.error or 0.0):+.3g} %{width}"
+    if error.verdict(trade.tolerances[metric]) == "undecided":
+        return f"{value}, undecided: the interval reaches {ratio:.3g} times the tolerance"
+    return f"{value}, outside: up to {ratio:.3g} times its tolerance"
+
+
+def needed_end_time(trade: Trade, point: TradePoint) -> float | None:
+    """Return the simulated time [s] at which nothing of a bed's point is undecided; None if it is not known."""
+    open_ones = [e for m, limit in trade.tolerances.items() if (e := point.errors[m]).verdict(limit) == "undecided"]
+    times = [e.needed_end_time for e in open_ones if e.needed_end_time is not None]
+    return max(times) if times and len(times) == len(open_ones) else None
 
 
 def _saving(saved: SpeedUp) -> str:
@@ -123,7 +182,7 @@ def _turns(turns: Sequence[Turn]) -> Iterator[str]:
 
 def to_dict(trade: Trade, conclusion: Conclusion, laws: Sequence[Law]) -> dict[str, Any]:
     """Return everything as plain JSON types; what is not known is None."""
-    chosen, nearest = conclusion.chosen, conclusion.nearest
+    chosen, promising, nearest = conclusion.chosen, conclusion.promising, conclusion.nearest
     found = {
         "case": trade.case,
         "title": trade.title,
@@ -132,6 +191,8 @@ def to_dict(trade: Trade, conclusion: Conclusion, laws: Sequence[Law]) -> dict[s
         "tolerances": dict(trade.tolerances),
         "chosen": None if chosen is None else chosen.candidate.name,
         "unchanged": None if conclusion.unchanged is None else conclusion.unchanged.candidate.name,
+        "promising": None if promising is None else promising.candidate.name,
+        "needed_end_time": None if promising is None else needed_end_time(trade, promising),
         "nearest": None if nearest is None else nearest.candidate.name,
         "failing": dict(conclusion.failing),
         "cost": conclusion.cost,

@@ -58,6 +58,8 @@ class MetricError:
         single contacts the discretisation error of the reference itself
     basis : what the scale is
     reason : why it could not be computed, or what to know
+    needed_end_time : of a bed, while its tolerance leaves it undecided: simulated time of both runs that would decide
+        it [s], predicted from their statistics; None if out of reach
     """
 
     metric: str
@@ -68,6 +70,7 @@ class MetricError:
     uncertainty: float | None
     basis: str
     reason: str = ""
+    needed_end_time: float | None = None
 
     def verdict(self, tolerance: float) -> str:
         """Return "ok" (the whole interval is within), "outside" (all of it is), "undecided" or "missing"."""

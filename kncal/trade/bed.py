@@ -40,7 +40,7 @@ TOLD = 0.25
 FIRST_SHARE, PART_SHARE, SHORTEST = 0.05, 0.1, 5.0
 #: A part may take so many times what starting and stopping it take.
 WORTHWHILE = 5.0
-#: Kept for what follows the runs, files and pictures: share of the budget, and at least [s]; on a busy machine longer, by
+#: Kept for what follows the runs (files, pictures): share of the budget, and at least [s]; longer on a busy machine, by
 #: the wall-clock over the CPU time of runs, up to so many times.
 REST_SHARE, REST, SLOWEST = 0.02, 3.0, 6.0
 #: Between two looks at what runs [s].

@@ -43,6 +43,7 @@ def _error(row: BedRow) -> MetricError:
         uncertainty=width,
         basis=row.basis,
         reason=reason,
+        needed_end_time=row.needed_end_time,
     )
 
 

@@ -34,6 +34,7 @@ _FLOOR = 1e-6
 def draw_trade_figures(trade: Trade, conclusion: Conclusion, laws: Sequence[Law], folder: Path) -> tuple[Figure, ...]:
     """Write every figure that the data allow into ``folder``, as PNG and SVG."""
     figures = []
+    fixed, rounds = ("gas and exchange", "parts") if trade.bed else ("the start of the solver", "rounds")
 
     def add(name: str, ax: Axes | None, caption: str, alt: str) -> None:
         if ax is not None:
@@ -60,7 +61,7 @@ def draw_trade_figures(trade: Trade, conclusion: Conclusion, laws: Sequence[Law]
         "law",
         law(laws),
         "Cost against stiffness at one number of steps per contact: the steps follow k_n^(1/2) (grey); the CPU time "
-        "does so where the steps outweigh the start of the solver. Bars: smallest and largest of the rounds.",
+        f"does so where the steps outweigh {fixed}. Bars: smallest and largest of the {rounds}.",
         "Steps and CPU time against stiffness.",
     )
     return tuple(figures)
@@ -225,7 +226,7 @@ def law(laws: Sequence[Law]) -> Axes | None:
                 color=style["color"],
                 linewidth=1.0,
                 linestyle=style["linestyle"],
-                label=f"{text}: start + steps",
+                label=f"{text}: {'gas + steps' if found.bed else 'start + steps'}",
             )
     k = np.asarray(laws[0].k_n)
     middle = len(k) // 2

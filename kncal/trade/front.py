@@ -73,6 +73,8 @@ class Conclusion:
     by_metric : metric -> the same for what its error alone may be
     chosen : the cheapest point inside all tolerances, or None
     unchanged : the cheapest of those at which softness has not changed the physics (see `changed`), or None
+    promising : without a chosen one, the cheapest point that is not surely outside, which more of a run may show to be
+        inside; None if all are
     nearest : without a chosen one, the point whose `worst_ratio` is smallest
     failing : of ``nearest``: metric -> (abs(error) + uncertainty)/tolerance of those not surely inside; infinite: not
         computed
@@ -85,6 +87,7 @@ class Conclusion:
     by_metric: Mapping[str, tuple[str, ...]]
     chosen: TradePoint | None
     unchanged: TradePoint | None
+    promising: TradePoint | None
     nearest: TradePoint | None
     failing: Mapping[str, float]
     speed_ups: tuple[SpeedUp, ...]
@@ -107,8 +110,10 @@ def conclude(trade: Trade) -> Conclusion:
         key=lambda item: (item[1], worst_ratio(item[0], trade.tolerances)),
     )
     chosen = next((p for p, _ in within), None)
-    nearest = None
+    promising = nearest = None
     if chosen is None:
+        open_ones = [(p, c) for p, c in priced if verdict(p, trade.tolerances) == "undecided"]
+        promising = min(open_ones, key=lambda item: item[1], default=(None, 0.0))[0]
         tried = [p for p in trade.points if p.completed]
         nearest = min(tried, key=lambda p: worst_ratio(p, trade.tolerances), default=None)
     return Conclusion(
@@ -117,8 +122,9 @@ def conclude(trade: Trade) -> Conclusion:
         by_metric=by_metric,
         chosen=chosen,
         unchanged=next((p for p, _ in within if not changed(trade, p)), None),
+        promising=promising,
         nearest=nearest,
-        failing={} if nearest is None else _failing(nearest, trade.tolerances),
+        failing={} if nearest is None else failing(nearest, trade.tolerances),
         speed_ups=() if chosen is None else _speed_ups(trade, chosen),
         turns=turns(trade),
     )
@@ -184,7 +190,8 @@ def _ratio(point: TradePoint, metric: str, limit: float) -> float:
     return math.inf if error is None else error / limit
 
 
-def _failing(point: TradePoint, tolerances: Mapping[str, float]) -> dict[str, float]:
+def failing(point: TradePoint, tolerances: Mapping[str, float]) -> dict[str, float]:
+    """Return (abs(error) + uncertainty)/tolerance of the metrics not surely inside; infinite: not computed."""
     return {
         metric: _ratio(point, metric, limit)
         for metric, limit in tolerances.items()

@@ -37,7 +37,7 @@ class CostFit:
 
     Attributes
     ----------
-    start : what every run costs, whatever its steps [s]
+    start : what every run costs, whatever its steps [s]: the solver's start, of a bed gas and exchange
     per_step : [s]
     runs : number of timed runs
     """
@@ -89,6 +89,7 @@ class Law:
     by_steps, by_cpu : slope over all points, of the steps and of the CPU time as measured
     by_net_cpu : of the CPU time less the start, over the points of which the start is less than half
     holds : the widest range of k_n in which the slope of the CPU time as measured agrees with 1/2; None: nowhere
+    bed : whether it is of a coupled bed, where what every run costs is gas and exchange at each coupling
     """
 
     family: str
@@ -102,6 +103,7 @@ class Law:
     by_cpu: Slope | None
     by_net_cpu: Slope | None
     holds: Slope | None
+    bed: bool = False
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -109,6 +111,7 @@ class Law:
         from kncal.units import quantity
 
         name = {"linear": "Linear", "hertz": "Hertz"}[self.family]
+        fixed = "gas and exchange at the couplings" if self.bed else "the start"
         texts = []
         if self.by_steps is not None:
             texts.append(
@@ -119,16 +122,18 @@ class Law:
             if self.by_cpu is not None:
                 texts[-1] += f", the CPU time as measured with k_n^{_shown(self.by_cpu.exponent)}"
             if self.by_net_cpu is not None:
-                texts[-1] += f", less the start with k_n^{_shown(self.by_net_cpu.exponent)}"
+                texts[-1] += f", less {fixed} with k_n^{_shown(self.by_net_cpu.exponent)}"
             texts[-1] += "."
         if self.fit is not None:
             start, per_step = self.fit.start, self.fit.per_step
+            of = " for gas and exchange, which cost the same whatever the contact" if self.bed else ""
             texts.append(
-                f"{name}: CPU time = ({start.value:.3g} ± {start.uncertainty:.2g}) s + "
+                f"{name}: CPU time = ({start.value:.3g} ± {start.uncertainty:.2g}) s{of} + "
                 f"({per_step.value:.3g} ± {per_step.uncertainty:.2g}) s per step, from {self.fit.runs} runs."
             )
             if self.fit.half_steps is not None:
-                texts[-1] += f" Below {self.fit.half_steps:.2g} steps the start is more than half of it."
+                verb = "are" if self.bed else "is"
+                texts[-1] += f" Below {self.fit.half_steps:.2g} steps {fixed} {verb} more than half of it."
         if self.by_cpu is not None:
             if self.holds is None:
                 texts.append(
@@ -215,7 +220,7 @@ def laws(trade: Trade) -> tuple[Law, ...]:
         if by_n:
             n = max(by_n, key=lambda n: (sum(bool(p.cpu_seconds) for p in by_n[n]), len(by_n[n]), n))
             model = [trade.reference] * (family == "hertz") + [p for p in trade.points if p.candidate.model == family]
-            found.append(_law(family, n, by_n[n], _fit(model)))
+            found.append(_law(family, n, by_n[n], _fit(model), bed=trade.bed))
     return tuple(found)
 
 
@@ -224,7 +229,7 @@ def _fit(points: Iterable[TradePoint]) -> CostFit | None:
     return fit_cost(*zip(*runs, strict=True)) if len({steps for steps, _ in runs}) >= _FEWEST else None
 
 
-def _law(family: str, n: float, points: Iterable[TradePoint], fit: CostFit | None) -> Law:
+def _law(family: str, n: float, points: Iterable[TradePoint], fit: CostFit | None, *, bed: bool) -> Law:
     ordered = sorted(points, key=lambda p: p.k_n or 0.0)
     timed = [p for p in ordered if p.cpu_seconds]
     k = [p.k_n or np.nan for p in ordered]
@@ -246,6 +251,7 @@ def _law(family: str, n: float, points: Iterable[TradePoint], fit: CostFit | Non
         by_cpu=slope(k_runs, cpu_runs) if enough else None,
         by_net_cpu=None if fit is None or not enough else _net(k_runs, cpu_runs, fit),
         holds=widest(k_runs, cpu_runs) if enough else None,
+        bed=bed,
     )
 
 

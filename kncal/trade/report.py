@@ -16,7 +16,7 @@ from kncal.report import Table, page_template
 from kncal.trade.answer import describe, sentences, shown_factor
 from kncal.trade.base import Candidate, ErrorSplit, MetricError, Part, Trade, TradePoint
 from kncal.trade.figures import draw_trade_figures
-from kncal.trade.front import Conclusion, changed, verdict, worst_ratio
+from kncal.trade.front import Conclusion, changed, cost, verdict, worst_ratio
 from kncal.trade.law import Law
 from kncal.units import quantity, si_prefix
 
@@ -42,18 +42,22 @@ def write_trade_report(trade: Trade, conclusion: Conclusion, laws: Sequence[Law]
         for picture in Path(drawn).iterdir():
             picture.replace(folder / picture.name)
     texts = sentences(trade, conclusion, laws)
-    near = near_front(trade, conclusion)
+    near = shown_points(trade, conclusion)
     page = folder / "index.html"
     write_text(
         page,
         page_template("trade.html.j2").render(
             case=trade.case,
             title=trade.title,
-            state="within" if conclusion.chosen is not None else "outside",
+            state="within"
+            if conclusion.chosen is not None
+            else "outside"
+            if conclusion.promising is None
+            else "undecided",
             sentences=texts,
             figures=figures,
             front=point_table(trade, conclusion, [trade.reference, *near]),
-            far=len(conclusion.front) - len(near),
+            far=0 if trade.bed else len(conclusion.front) - len(near),
             limit=f"{NEAR:g}",
             splits=_split_table(trade, near),
             convergence=_convergence_table(trade),
@@ -69,8 +73,13 @@ def write_trade_report(trade: Trade, conclusion: Conclusion, laws: Sequence[Law]
     return page
 
 
-def near_front(trade: Trade, conclusion: Conclusion) -> list[TradePoint]:
-    """Return the points of the front whose worst error is at most `NEAR` times its tolerance."""
+def shown_points(trade: Trade, conclusion: Conclusion) -> list[TradePoint]:
+    """Return what stands first: the points of the front whose worst error is at most `NEAR` times its tolerance.
+
+    Of a bed all that ran, from cheap to dear: they are few, and a wide interval says little of a contact.
+    """
+    if trade.bed:
+        return sorted((p for p in trade.points if p.completed), key=lambda p: cost(trade, p) or math.inf)
     by_name = {point.candidate.name: point for point in trade.points}
     return [p for name in conclusion.front if worst_ratio(p := by_name[name], trade.tolerances) <= NEAR]
 

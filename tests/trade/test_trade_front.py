@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -12,6 +13,7 @@ from kncal.errors import InputError
 from kncal.trade.answer import sentences, to_dict
 from kncal.trade.base import Sign
 from kncal.trade.front import conclude, inside, pareto, verdict, worst_ratio
+from kncal.trade.report import shown_points
 from kncal.trade.tolerances import parse_tolerances
 
 # few values, so that ties happen
@@ -148,6 +150,60 @@ def test_what_nothing_meets_is_said_with_metric_and_amount():
     text = sentences(made, found, ())[0]
     assert "e_n is +3 %" in text and "3 times" in text and "t_c is" not in text
     assert to_dict(made, found, ())["chosen"] is None
+
+
+def ran(name, cpu, errors, needed=None, **changes):
+    """A point of a bed of which a tenth of 2 s ran, and what the whole takes."""
+    made = point(name, 200_000, errors, cpu=cpu, **changes)
+    errors = {m: replace(e, needed_end_time=needed) for m, e in made.errors.items()}
+    return replace(made, dt=1e-5, ran_share=0.1, errors=errors)
+
+
+TOP = ran("reference", (100.0,), {}, how="reference", model="hertz")
+
+
+def test_of_a_bed_undecided_is_not_called_outside_and_what_decides_is_said():
+    points = [
+        ran("wrong", (10.0,), {"z": (0.5, 0.1)}),
+        ran("open", (40.0,), {"z": (0.01, 0.4)}, needed=1.5, factor=0.3),
+        ran("dear", (60.0,), {"z": (0.0, 0.2)}, needed=1.2, factor=1.0),
+    ]
+    made = trade(points, {"z": 0.05}, bed=True, reference=TOP)
+    found = conclude(made)
+    # the cheapest that may be inside, though another is nearer
+    assert (found.promising.candidate.name, found.nearest.candidate.name) == ("open", "dear")
+    text = sentences(made, found, ())[0]
+    assert "1 surely outside, 2 only undecided" in text
+    assert "undecided: the interval reaches 8.2 times the tolerance" in text
+    # 1.3 s of 2 s are lacking of both: 0.65 (40 + 100) s
+    assert "1.5 s of simulated time" in text and "91 CPU s more" in text and "--budget" in text
+    data = to_dict(made, found, ())
+    assert (data["promising"], data["needed_end_time"]) == ("open", 1.5)
+
+
+@pytest.mark.parametrize(
+    ("needed", "said"), [(4.0, "run.end_time = 4 or more, which takes about 2.8e+02 CPU s"), (None, "is not known")]
+)
+def test_a_bed_too_short_to_decide_names_the_end_time(needed, said):
+    made = trade([ran("open", (40.0,), {"z": (0.01, 0.4)}, needed=needed)], {"z": 0.05}, bed=True, reference=TOP)
+    assert said in sentences(made, conclude(made), ())[0]
+
+
+def test_a_bed_of_which_all_is_outside_says_so():
+    made = trade([ran("wrong", (10.0,), {"z": (0.5, 0.1)})], {"z": 0.05}, bed=True, reference=TOP)
+    found = conclude(made)
+    assert found.promising is None
+    text = sentences(made, found, ())[0]
+    assert "of 1 that ran, 1 surely outside" in text and "outside: up to 12 times its tolerance" in text
+    assert "decide" not in text
+
+
+def test_of_a_bed_all_that_ran_stands_in_the_table():
+    far = [ran("dear", (60.0,), {"z": (0.0, 9.0)}), ran("cheap", (10.0,), {"z": (5.0, 0.1)})]
+    beds = trade(far, {"z": 0.05}, bed=True, reference=TOP)
+    assert [p.candidate.name for p in shown_points(beds, conclude(beds))] == ["cheap", "dear"]
+    single = trade(far, {"z": 0.05})
+    assert shown_points(single, conclude(single)) == []
 
 
 def test_tolerances_by_name_and_by_word():

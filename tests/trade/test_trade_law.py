@@ -92,3 +92,14 @@ def test_the_family_of_a_trade_is_the_softened_contacts_at_one_n():
 def test_too_few_stiffnesses_give_no_slope(bad):
     with pytest.raises(InputError, match="expected three positive costs"):
         slope(bad, [1.0] * len(bad))
+
+
+def test_what_every_run_costs_has_its_name():
+    """Of a single contact the solver's start; of a bed the gas, and what is exchanged with it."""
+    points = [
+        point(f"p{k}", 10**k, {"e_n": 0.0}, cpu=(10.0 + 10.0 ** (k - 3),), k_n=10.0 ** (2 * k), factor=10.0**-k)
+        for k in range(2, 7)
+    ]
+    for bed, said, never in ((False, "the start is more than half", "gas"), (True, "gas and exchange", "start")):
+        text = " ".join(laws(trade(points, {"e_n": 0.1}, bed=bed))[0].sentences)
+        assert said in text and never not in text
