@@ -40,16 +40,20 @@ def require_possible_scene(model: Model) -> None:
     require_possible([*_first_impacts(model), *_resting(model)])
 
 
-def warnings_of(models: Mapping[str, Model]) -> tuple[str, ...]:
-    """Return what is to be minded about the runs of these models, each text once, with whom it concerns."""
+def warnings_of(models: Mapping[str, Model], *, usual: bool = True) -> tuple[str, ...]:
+    """Return what is to be minded about the runs of these models, each text once, with whom it concerns.
+
+    ``usual``: also what nearly every damped contact has, attraction at its end.
+    """
     texts: dict[str, None] = {}
     for kind, model in models.items():
         texts |= {f"{kind}: {finding.message}": None for finding in check_scene(model) if finding.level == "warn"}
     pairs: dict[str, dict[str, None]] = {}
     for model in models.values():
         for pair, contact in model.contacts.items():
-            for text in contact.warnings.values():
-                pairs.setdefault(text, {})["–".join(pair)] = None
+            for code, text in contact.warnings.items():
+                if usual or code != "attraction":
+                    pairs.setdefault(text, {})["–".join(pair)] = None
     return (*texts, *(f"{', '.join(names)}: {text}" for text, names in pairs.items()))
 
 

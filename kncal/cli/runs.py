@@ -340,7 +340,7 @@ def _run(
     from kncal.scene_limits import warnings_of
     from kncal.workflow import require_completed, run_case
 
-    for text in warnings_of(plan(scene, kinds)):
+    for text in warnings_of(plan(scene, kinds), usual=False):
         show.note(f"warning: {text}")
     with show.progress_bars() as progress_for:
         results = run_case(

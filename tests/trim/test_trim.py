@@ -12,7 +12,7 @@ import pytest
 from kncal.bed.scene import BedScene
 from kncal.case_file import dump_case, load_case, load_scene
 from kncal.cli import main
-from kncal.errors import InputError, RunError
+from kncal.errors import CaseFileError, InputError
 from kncal.trim.base import Trim
 from kncal.trim.report import write_trim
 from kncal.trim.workflow import TrimOptions, trim
@@ -161,7 +161,7 @@ def test_a_speed_to_be_measured_is_measured_once_for_all_runs(tmp_path: Path) ->
 
 
 def test_a_full_scene_that_does_not_run_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(RunError, match="rolling"):
+    with pytest.raises(CaseFileError, match="rolling"):
         builtin("oblique_impact", tmp_path, "contact.rolling_friction=0.1")
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="folder"):
