@@ -137,7 +137,7 @@ def savings(trade: dict[str, Any], metrics: Sequence[str]) -> Iterator[list[str]
     for tolerance in (0.01, 0.05):
         best = cheapest(trade, tolerance, metrics)
         if best is None:
-            yield [f"{100 * tolerance:g} %", _none(trade, tolerance, metrics), "", "", ""]
+            yield [f"{100 * tolerance:g} %", _none(trade, tolerance, metrics), *[""] * 4]
             continue
         yield [
             f"{100 * tolerance:g} %",
@@ -145,6 +145,7 @@ def savings(trade: dict[str, Any], metrics: Sequence[str]) -> Iterator[list[str]
             stiffness(best),
             _times(reference, best),
             "–" if usual is None else _times(usual, best),
+            changed(best),
         ]
 
 
@@ -154,13 +155,22 @@ def _n(point: dict[str, Any]) -> float:
 
 def _times(dear: dict[str, Any], cheap: dict[str, Any]) -> str:
     """Return the saving in steps, and in CPU time round by round where the runs are long enough to tell."""
-    text = f"{dear['steps'] / cheap['steps']:.3g} × fewer steps"
+    ratio = dear["steps"] / cheap["steps"]
+    text = f"{ratio:.3g} × fewer steps" if ratio > 1.0 else f"{1 / ratio:.3g} × more steps" if ratio < 1.0 else "itself"
+    if ratio == 1.0:
+        return text
     rounds = [a / b for a, b in zip(dear["cpu_seconds"], cheap["cpu_seconds"], strict=False) if b > 0]
     if not rounds:
         return text
     middle = statistics.median(rounds)
+    if min(rounds) <= 1.0 <= max(rounds):
+        return f"{text}, CPU time the same within its spread ({min(rounds):.3g}–{max(rounds):.3g})"
+    if middle < 1.0:
+        rounds, middle, what = [1 / x for x in rounds], 1 / middle, "as much CPU"
+    else:
+        what = "less CPU"
     spread = f" ({min(rounds):.3g}–{max(rounds):.3g})" if len(rounds) > 1 else ""
-    return f"{text}, {middle:.3g} × less CPU{spread}"
+    return f"{text}, {middle:.3g} × {what}{spread}"
 
 
 def softened(trade: dict[str, Any], steps: float, metrics: Sequence[str]) -> str:
@@ -251,7 +261,14 @@ def bubbling_bed_mini(page: Path) -> None:
     figures(page, page.stem, ("front.png",))
 
 
-SAVINGS = ("tolerance", "cheapest contact inside", "k_n", "over the reference", "over Hertz, N = 50")
+SAVINGS = (
+    "tolerance",
+    "cheapest contact inside",
+    "k_n",
+    "over the reference",
+    "over Hertz, N = 50",
+    "what softness changed",
+)
 STUDIES: dict[str, Callable[[Path], None]] = {
     "falling_particle": falling_particle,
     "wall_impact": wall_impact,

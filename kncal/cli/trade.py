@@ -157,5 +157,6 @@ def _print(result: TradeResult) -> None:
     if result.case is not None:
         model = "" if conclusion.chosen is None else conclusion.chosen.candidate.model
         show.say(
-            f"case with the chosen contact: {result.case} (kncal run {shlex.quote(str(result.case))} --model {model})"
+            f"case with the chosen contact: {result.case} (kncal run {shlex.quote(str(result.case))} --model {model} "
+            f"--out {shlex.quote(str(result.case.parent / 'chosen'))})"
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -89,7 +90,8 @@ def trim(
         show.as_json(found.to_dict() | {"report": str(page), "trimmed": str(folder / "case.toml")})
         return
     _print(found)
-    show.say(f"trimmed case: {folder / 'case.toml'}, to be run with --model {found.trimmed_model}")
+    there, run = (shlex.quote(str(folder / name)) for name in ("case.toml", "trimmed"))
+    show.say(f"trimmed case: {there} (kncal run {there} --model {found.trimmed_model} --out {run})")
     show.say(f"report: {page}")
 
 

@@ -86,8 +86,8 @@ def metric_errors(
         reason = row.reason
         if row.difference is not None and row.scale is not None:
             width = reference.left.get(name, 0.0)
-            if name in worst and row.value is not None:
-                phase = worst[name] * abs(row.value) / row.scale
+            phase = _phase(name, row, run, worst, reference.until)
+            if phase is not None:
                 base = there[name].difference if name in there else None
                 width += max(0.0, (0.0 if base is None else abs(base)) + phase - abs(row.difference))
         found[name] = MetricError(
@@ -101,6 +101,23 @@ def metric_errors(
             reason=reason,
         )
     return found
+
+
+def _phase(name: str, row: Difference, run: RunData, worst: Mapping[str, float], until: float | None) -> float | None:
+    """Return what another sub-step phase of the contacts could add to a difference, by its scale; None: not known.
+
+    Paths: a leaving speed v that is wrong by a share e makes the way (and all later flights) wrong by e in time, so
+    the body is elsewhere by up to e v times the time left.
+    """
+    if row.scale is None:
+        return None
+    if name not in PATHS:
+        return None if name not in worst or row.value is None else worst[name] * abs(row.value) / row.scale
+    if "e_n" not in worst:
+        return None
+    end = run.model.t_end if until is None else until
+    left = ((c.v_out or 0.0) * max(end - c.t_start - c.t_c, 0.0) for c in run.observations.contacts)
+    return worst["e_n"] * sum(left) / row.scale
 
 
 def split_errors(

@@ -51,6 +51,11 @@ def _share(text: str, number: str) -> float:
         value = math.nan
     if not 0.0 < value < math.inf:
         raise InputError(f"--tolerance {text[:100]!r}: {number[:50]!r}: expected a share above 0, e.g. 1% or 0.01")
+    if value >= 1.0 and not number.endswith("%"):
+        raise InputError(
+            f"--tolerance {text[:100]!r}: {number[:50]} is a share, {100.0 * value:g} %: expected e.g. "
+            f"{number[:50]}% or {value / 100.0:g} (a tolerance of so much is written with its sign, {100.0 * value:g}%)"
+        )
     return value
 
 

@@ -51,6 +51,21 @@ def test_nothing_inside_is_exit_code_1_and_says_how_far(capsys, tmp_path):
     assert not (tmp_path / "trade" / "case.toml").exists()
 
 
+def test_the_uncertainty_of_a_path_holds_what_other_phases_of_first_touch_do_to_it(capsys, tmp_path):
+    """A drop from 70 µm higher up is the same case, but for where in a step the sphere touches the floor."""
+    errors = []
+    flags = ["--factor", "1", "--steps", "50", "--rounds", "1", "--engine", "builtin", "--tolerance", "trajectory=1%"]
+    for height in (0.5, 0.50007):
+        change = ["--set", f"particles.ball.position=[0, 0, {height}]", "--out", tmp_path / f"at-{height}"]
+        _, text, _ = kncal(capsys, "trade", "falling_particle", *flags, *change, "--json")
+        points = {p["candidate"]["name"]: p["errors"]["trajectory"] for p in json.loads(text)["points"]}
+        errors.append(points["linear-max_overlap-N50"])
+    one, other = errors
+    assert abs(one["error"] - other["error"]) > 1e-3  # else the test says nothing
+    assert other["error"] <= one["error"] + one["uncertainty"]
+    assert one["error"] <= other["error"] + other["uncertainty"]
+
+
 def test_nothing_of_the_users_is_written_over_or_removed(capsys, tmp_path):
     kncal(capsys, "new", "wall_impact", tmp_path / "mine")
     case = tmp_path / "mine" / "case.toml"
@@ -69,6 +84,7 @@ def test_nothing_of_the_users_is_written_over_or_removed(capsys, tmp_path):
     ("flags", "hint"),
     [
         (["--tolerance", "restitutoin=1%"], "did you mean"),
+        (["--tolerance", "restitution=1"], "1 is a share, 100 %"),
         (["--budget", "ten"], "--budget"),
         (["--factor", "3"], "--factor"),
         (["--factor", "1/0"], "--factor"),
