@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from kncal.stability.accuracy import AccuracyEdge
+from kncal.stability.accuracy import NUMBERS, AccuracyEdge
 from kncal.stability.bed_edges import BedEdge
 from kncal.stability.edges import RESOLUTION, Edge
 from kncal.stability.maps import Cell
@@ -80,16 +80,19 @@ class Stability:
     def _accuracy(self) -> Iterable[str]:
         for kind in dict.fromkeys(a.kind for a in self.accuracy):
             ours = [a for a in self.accuracy if a.kind == kind and a.e_n == min(self.given.contact.e_n, 1.0)]
-            parts = [f"{a.measured:g} for {100.0 * a.error:g} %" for a in ours if a.measured is not None]
+            parts = [f"{a.measured:.3g} for {100.0 * a.error:g} %" for a in ours if a.measured is not None]
             if parts:
+                apart = 100.0 * (NUMBERS[1] / NUMBERS[0] - 1.0)
                 yield (
                     f"{_name(kind)}, e_n = {ours[0].e_n:g}: steps per contact needed for the restitution: "
-                    f"{', '.join(parts)}; the case takes {self.given.steps_per_contact:g}."
+                    f"{', '.join(parts)} (numbers {apart:.0f} % apart were tried); the case takes "
+                    f"{self.given.steps_per_contact:g}."
                 )
         unsafe = [a for a in self.accuracy if a.measured and a.predicted and a.measured > a.predicted]
         undecided = [a for a in self.accuracy if a.measured is None or a.predicted is None]
         text = f"{len(self.accuracy) - len(unsafe) - len(undecided)} of {len(self.accuracy)}"
-        yield f"The predicted error asks for at least as many steps as measured at {text} accuracy edges."
+        also = f" ({len(undecided)} not found)" if undecided else ""
+        yield f"The predicted error asks for at least as many steps as measured at {text} accuracy edges{also}."
 
     def _agreement(self) -> Iterable[str]:
         both: dict[tuple[Any, ...], dict[str, str]] = {}
