@@ -10,12 +10,11 @@ from functools import lru_cache
 import numpy as np
 
 from kncal.ballistics import first_touch, initial_overlap
-from kncal.calibration import Calibration
 from kncal.errors import CaseFileError
 from kncal.material import Pair, pair, wall_pair
 from kncal.model import KINDS, Model, PairContact
 from kncal.needs import Needs, decide
-from kncal.pair_contact import PairNumbers, Rest, calibration_for, numbers_of, pair_contact, smooth
+from kncal.pair_contact import PairNumbers, Rest, numbers_of, pair_contact, smooth
 from kncal.scene import Particle, Scene, Wall
 from kncal.scene_limits import require_possible_scene
 
@@ -65,11 +64,6 @@ def _bounced(known: _Known) -> float:
 
     models = known.models.values()
     return max(bounce_time(model.without_friction(), model.scene.run.until_bounces or 1) for model in models)
-
-
-def calibration_of(scene: Scene, a: Particle, b: Particle | Wall) -> Calibration | None:
-    """Return the calibration of one pair, or None where the case prescribes k_n without an impact speed."""
-    return calibration_for(scene.contact, pair_of(a, b), pair_choice(scene, a, b))
 
 
 def pair_choice(

@@ -258,7 +258,7 @@ def _static(value: float, where: str) -> Sign:
 def _sound(speed: float, what: str, contact: PairContact, d: float, mass: float, reference: PairContact | None) -> Sign:
     c = sound_speed(contact, d, mass)
     value = speed / c
-    text = f"Sound travels at {c:.3g} m/s along a chain of particles, {what} is {speed:.3g} m/s"
+    text = f"Sound would travel at {c:.3g} m/s along a chain of such particles, {what} is {speed:.3g} m/s"
     if reference is not None:
         text += f"; with the real contact it is {math.sqrt(secant(reference) / secant(contact)):.3g} times as fast"
     return Sign(
