@@ -165,6 +165,12 @@ def _run(case: CaseTable) -> Iterator[Problem]:
 
 
 def _geometry(case: CaseTable) -> Iterator[Problem]:
+    if len(case.particles) == 1 and not case.walls:
+        yield (
+            ("particles",),
+            "a single particle and no wall: nothing can touch, so there is no contact to calibrate: expected a second "
+            "particle or a wall",
+        )
     centres = np.array([p.position for p in case.particles], dtype=np.float64)
     radii = np.array([p.diameter / 2.0 for p in case.particles])
     planes = [(w.axis, w.position) for w in case.walls]

@@ -117,7 +117,8 @@ def vectors(size: float) -> st.SearchStrategy[tuple[float, float, float]]:
 
 @st.composite
 def scenes(draw: st.DrawFn) -> Scene:
-    n_materials, n_particles, n_walls = draw(st.integers(1, 3)), draw(st.integers(1, 4)), draw(st.integers(0, 2))
+    n_materials, n_particles = draw(st.integers(1, 3)), draw(st.integers(1, 4))
+    n_walls = draw(st.integers(0 if n_particles > 1 else 1, 2))
     count = n_materials + n_particles + n_walls
     taken = draw(st.lists(names, min_size=count, max_size=count, unique=True))
     materials = [
@@ -417,6 +418,11 @@ def test_bodies_inside_each_other(x: str, what: str) -> None:
 def test_overlap_below_the_smaller_radius_is_a_start() -> None:
     parse_case(changed("[0.002, 0.0, 0.0]", "[0.0001, 0.0, 0.0]"), name="sample")  # overlap 0.4 mm of 0.5 mm
     parse_case(changed("[0.002, 0.0, 0.0]", "[0.002, 0.0, -0.0098]"), name="sample")  # into the floor by 0.8 mm
+
+
+def test_a_single_body_has_nothing_to_touch() -> None:
+    with pytest.raises(CaseFileError, match=r"particles: a single particle and no wall.*expected a second particle or"):
+        load_case("falling_particle", overrides=["walls.floor=none"])
 
 
 def test_same_plane_twice() -> None:

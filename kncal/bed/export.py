@@ -68,6 +68,8 @@ def write_paraview(series: BedSeries, folder: Path) -> Path:
 def _particles(series: BedSeries, frame: int) -> pyvista.PolyData:
     import pyvista
 
+    if not series.facts.count:
+        return pyvista.PolyData()  # which takes no arrays of no values
     points = pyvista.PolyData(np.array(series.x[frame]))
     points.point_data["id"] = np.arange(1, series.facts.count + 1)
     points.point_data["radius"] = np.full(series.facts.count, 0.5 * series.facts.diameter)

@@ -168,7 +168,7 @@ class SeriesWriter:
             self.flush()
         facts = self.facts
         nan = float("nan")
-        mass, weight = facts.mass / facts.count, facts.weight
+        mass, weight = facts.mass / max(facts.count, 1), facts.weight
         row = dict.fromkeys(UNITS, nan) | {
             "coupling": float(coupling),
             "t": coupling * facts.coupling,
@@ -178,8 +178,8 @@ class SeriesWriter:
             "weight": weight,
             "momentum_z": mass * float(v[:, 2].sum()),
             "kinetic_energy": 0.5 * mass * float(np.einsum("ij,ij->", v, v)),
-            "z_mean": float(x[:, 2].mean()),
-            "z_95": _quantile(x[:, 2], 0.95),
+            "z_mean": float(x[:, 2].mean()) if len(x) else nan,
+            "z_95": _quantile(x[:, 2], 0.95) if len(x) else nan,
         }
         if gas is not None:
             row |= {name: getattr(gas, name) for name in ("p_in", "solids_error", "eps_g_min", "courant_max")}

@@ -1,27 +1,21 @@
 """The command line: ``kncal COMMAND``.
 
 Exit codes: 0 ok, 1 outside a tolerance (and for nothing else), 2 bad usage or input (also a run folder in use), 3 a run
-failed (also disk full, or not writable), 4 solver missing, 130 interrupted (Ctrl-C, SIGTERM, SIGHUP).
+failed (also disk full, or not writable), 4 solver missing, 5 a fault of kncal itself (its traceback is in a file), 130
+interrupted (Ctrl-C, SIGTERM, SIGHUP). A command with --json that fails prints an object with ``error``, ``kind`` and
+``exit_code``.
 """
 
 from __future__ import annotations
 
-import contextlib
 import contextvars
-import errno
 import sys
 
-from cyclopts import App, CycloptsError
+from cyclopts import App
 
 from kncal import __version__
-from kncal.cli import beds, calibrate, cases, runs, show, stability, sweeps, trade, trim, upkeep
-from kncal.errors import InterruptedRunError, KncalError, RunError, SolverMissingError
-
-OK, OUTSIDE, USAGE, FAILED, MISSING, INTERRUPTED = 0, 1, 2, 3, 4, 130
-#: Error -> exit code, the special before the general.
-_CODES = {SolverMissingError: MISSING, InterruptedRunError: INTERRUPTED, RunError: FAILED, KncalError: USAGE}
-#: Errors of the system that are no fault of the arguments.
-_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO)
+from kncal.cli import beds, calibrate, cases, failures, runs, show, stability, sweeps, trade, trim, upkeep
+from kncal.errors import InputError
 
 app = App(
     name="kncal",
@@ -61,34 +55,14 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _run(arguments: list[str]) -> int:
-    # Path("") would be the current folder
-    if any(text == "" or (text.startswith("--") and text.endswith("=")) for text in arguments):
-        return _complain("an argument is empty: expected a value", USAGE)
+    context = contextvars.copy_context()
     try:
+        # Path("") would be the current folder
+        if any(text == "" or (text.startswith("--") and text.endswith("=")) for text in arguments):
+            raise InputError("an argument is empty: expected a value")
         # templates that these arguments trust are trusted no longer than they are worked on
-        code = contextvars.copy_context().run(app, arguments, exit_on_error=False, print_error=True)
-        if sys.stdout is not None:
-            sys.stdout.flush()
-    except CycloptsError:
-        return USAGE
-    except (KncalError, KeyboardInterrupt, MemoryError, OSError, UnicodeError) as error:
-        return _complain(*_explain(error))
-    return code if isinstance(code, int) else OK
-
-
-def _explain(error: BaseException) -> tuple[str, int]:
-    """Text and exit code of an error that may happen."""
-    if isinstance(error, KncalError):
-        return str(error), next(code for kind, code in _CODES.items() if isinstance(error, kind))
-    if isinstance(error, OSError):
-        text = f"{error.filename or 'output'}: {error.strerror or error}"
-        return text, FAILED if error.errno in _DISK else USAGE
-    if isinstance(error, UnicodeError):
-        return f"a name or text that cannot be written: {error}", USAGE
-    return ("out of memory", FAILED) if isinstance(error, MemoryError) else ("interrupted", INTERRUPTED)
-
-
-def _complain(text: str, code: int) -> int:
-    with contextlib.suppress(OSError):
-        print(f"kncal: {show.printable(text)}", file=sys.stderr)
-    return code
+        code = context.run(app, arguments, exit_on_error=False, print_error=True, result_action="return_value")
+        sys.stdout.flush()
+    except (Exception, KeyboardInterrupt) as error:  # no exception of Python may reach a user as a traceback
+        return context.run(failures.end, error, json="--json" in arguments)
+    return code if isinstance(code, int) else failures.OK

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import json
+import os
 import signal
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -19,6 +23,7 @@ if TYPE_CHECKING:
 
 #: Width of tables of text where there is no terminal, and room in which a table of numbers is measured.
 _TEXT_WIDTH, _ROOM = 140, 500
+_JSON_PRINTED: ContextVar[bool] = ContextVar("json_printed", default=False)
 
 
 def console(*, stderr: bool = False) -> Console:
@@ -82,7 +87,14 @@ def note(text: str) -> None:
 def as_json(data: Any) -> None:
     """Print ``data`` as JSON; refuses NaN."""
     utf8 = (getattr(sys.stdout, "encoding", None) or "utf-8").lower().replace("-", "") == "utf8"
-    print(json.dumps(data, indent=2, ensure_ascii=not utf8, allow_nan=False))
+    text = json.dumps(data, indent=2, ensure_ascii=not utf8, allow_nan=False)
+    _JSON_PRINTED.set(True)
+    print(text)
+
+
+def json_was_printed() -> bool:
+    """Return whether this command has printed its result as JSON: a second object would make both unreadable."""
+    return _JSON_PRINTED.get()
 
 
 ProgressFor = Callable[[str], "Progress"]
@@ -187,15 +199,28 @@ class _Steady(io.FileIO):
             return len(data)
 
 
+class _Closed(io.RawIOBase):
+    """Standard output of a process that was started without one (``>&-``): what is printed is lost, so say so."""
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, data: Any) -> int | None:
+        raise OSError(errno.EBADF, os.strerror(errno.EBADF), "standard output")
+
+
 @contextmanager
 def steady_streams() -> Iterator[None]:
     """Let standard output and error survive a closed pipe, and signs that their encoding does not have."""
     given = sys.stdout, sys.stderr
-    sys.stdout, sys.stderr = _steady(sys.stdout, "replace"), _steady(sys.stderr, "backslashreplace")
-    try:
-        yield
-    finally:
-        sys.stdout, sys.stderr = given
+    with Path(os.devnull).open("w", encoding="utf-8") as nowhere:
+        out = sys.stdout or io.TextIOWrapper(io.BufferedWriter(_Closed()), encoding="utf-8")
+        # without one print would take standard output
+        sys.stdout, sys.stderr = _steady(out, "replace"), _steady(sys.stderr or nowhere, "backslashreplace")
+        try:
+            yield
+        finally:
+            sys.stdout, sys.stderr = given
 
 
 def _steady(stream: Any, errors: str) -> Any:

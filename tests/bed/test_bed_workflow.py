@@ -239,3 +239,26 @@ def _children(name: str) -> list[int]:
         if int(parent) == os.getpid() and name in before and state != "Z":
             found.append(int(path.parent.name))
     return found
+
+
+def test_gas_alone_flows_as_a_plug_and_weighs_nothing(tmp_path):
+    import pyvista
+
+    from kncal.bed.export import write_paraview
+
+    scene = mini(0.004, count=0)
+    scene = replace(scene, run=replace(scene.run, frames_every=0.002))
+    results = run_bed(scene, tmp_path / "run", ("linear",))
+    assert results["linear"].status == "completed"
+    series = load_bed_run(tmp_path / "run" / "linear").series
+    assert len(series.t_frame) == 2
+    assert np.all(series.eps_g == 1.0)
+    np.testing.assert_allclose(series.U[-1][..., 2], scene.gas.U_0, rtol=1e-5)  # solver tolerance
+    assert not series.weight.any()
+    assert not series.drag_z.any()
+    assert np.isnan(series.z_mean).all()
+    frames = pyvista.get_reader(write_paraview(series, tmp_path / "paraview"))
+    frames.set_active_time_point(1)
+    particles, gas = frames.read()
+    assert particles.n_points == 0
+    assert gas.n_cells == np.prod(scene.column.cells)
