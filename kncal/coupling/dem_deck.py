@@ -30,8 +30,12 @@ SKIN = 0.25
 #: Distance in diameters within which an opened contact is forgotten. The gap grows by v dt in a step, and with N steps
 #: per contact and overlap x d, v dt is about pi x d/N: 0.016 d for x = 0.1, N = 20.
 NEAR = 1.05
-#: Up to so many particles each is compared with each: bins of a particle's size are many in a large column.
+#: Up to so many particles each is compared with each, and none are sorted: there is nothing to gain.
 FEW = 20
+#: Bins of space per particle, for neighbour lists and for sorting: LIGGGHTS takes bins of half the cutoff, and visits
+#: all of them each time. In a large column that costs more than the particles do, and ends at its limit of their
+#: number. A settled bed fills some four bins of that size with each particle.
+BINS_PER_PARTICLE = 100.0
 #: A periodic column is at least so many diameters deep: no particle may touch another and its image.
 LEAST_PERIODIC = 3.0
 
@@ -107,7 +111,8 @@ def deck_context(model: BedModel, *, restart: bool = False) -> dict[str, object]
         "periodic": scene.column.front_back == "periodic",
         "restart": restart,
         "skin": SKIN * scene.particles.diameter,
-        "neighbours": "nsq" if scene.particles.count <= FEW else "bin",
+        "few": scene.particles.count <= FEW,
+        "bin": bin_size(scene),
         "near": NEAR,
         "walls": walls(scene),
         "gravity": scene.gravity,
@@ -115,6 +120,15 @@ def deck_context(model: BedModel, *, restart: bool = False) -> dict[str, object]
         "thermo_every": 1000,
         "end_marker": END_MARKER,
     }
+
+
+def bin_size(scene: BedScene) -> float:
+    """Return the edge of the bins of neighbour lists and sorting [m], 0 for LIGGGHTS' own: half the cutoff."""
+    column, particles = scene.column, scene.particles
+    own = 0.5 * (1.0 + SKIN) * particles.diameter
+    box = column.width * column.depth * column.height
+    needed = float((box / (BINS_PER_PARTICLE * max(particles.count, 1))) ** (1.0 / 3.0))
+    return needed if needed > own else 0.0
 
 
 def data_text(scene: BedScene, positions: Array, velocities: Array | None = None) -> str:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import resource
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -71,6 +74,28 @@ def test_terminal_velocity(name: str, end_time: float, coupling: float, tmp_path
     assert {r.metric for r in found.rows} == {"velocity", "slip"}
     assert all(i.holds for i in found.invariants)
     assert "the equation of motion gives" in " ".join(found.sentences)
+
+
+def test_a_large_column_costs_no_more(tmp_path: Path) -> None:
+    """The grain of the shipped case far from all walls, by the command line: its slip, and what it cost."""
+    if find() is None:
+        pytest.skip("too slow by restarts; the adapter of the live transport is not built: kncal adapter build")
+    sets = ["column.width=0.1", "column.depth=0.1", "column.height=0.2", "particles.positions=[[0.05,0.05,0.1]]"]
+    out = tmp_path / "run"
+    arguments = ["run", "terminal_velocity", "--model", "linear", "--out", str(out)]
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    subprocess.run(
+        [sys.executable, "-m", "kncal", *arguments, *(word for each in sets for word in ("--set", each))],
+        check=True,
+        capture_output=True,
+        timeout=120,
+    )
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 15.0
+    data = load_bed_run(out / "linear")
+    final = compare_beds(data, data, {}).observations[0].final
+    assert final is not None
+    assert final.slip == pytest.approx(0.4574, rel=0.01)
 
 
 def test_packed_bed(tmp_path: Path) -> None:

@@ -140,6 +140,17 @@ def test_steps_per_contact():
     assert found(change(MINI, "run", steps_per_contact=6.5))["dem-step"] == "warn"
 
 
+def test_a_lone_particle_needs_no_step_for_twelve_contacts():
+    """It touches three walls at most, in a corner: omega dt < 2/sqrt(3), t_c/dt > 2.72; a case has 4 at least."""
+    few = change(ONE, "run", steps_per_contact=4.0)
+    assert found(few)["dem-step"] == "warn"
+    texts = [f.message for f in check_bed(plan_bed(few, ["linear"])["linear"]) if f.code == "dem-step"]
+    assert len(texts) == 1  # of the walls; a lone particle meets no other
+    two = change(few, "particles", count=2, positions=((0.001, 0.001, 0.01), (0.001, 0.001, 0.02)))
+    assert found(two)["dem-step"] == "warn"
+    assert found(change(MINI, "run", steps_per_contact=4.0))["dem-step"] == "refuse"
+
+
 def test_gas_below_u_mf_is_flagged():
     gas = MINI.gas
     assert gas is not None

@@ -89,6 +89,41 @@ def test_the_deck_runs_by_hand(tmp_path: Path) -> None:
     assert "ITEM: NUMBER OF ATOMS\n50\n" in (tmp_path / "settled.dump").read_text()
 
 
+@solver
+@pytest.mark.parametrize("count", [1, 30])
+@pytest.mark.parametrize("side", [0.1, 50.0])
+def test_a_large_column_costs_no_more(count: int, side: float, tmp_path: Path) -> None:
+    """A few grains of 0.1 mm fall alike in a column of any size; 1e12 bins of their size would fit into the largest."""
+    box = column(width=side, depth=side, height=side)
+    bed = scene(count, box)
+    bed = replace(bed, particles=replace(bed.particles, diameter=1e-4))
+    given = model(bed, dt=1e-6)
+    start = lattice(bed) + np.array([0.01, 0.01, 0.05])
+    with LiggghtsDem(given, tmp_path, start) as dem:
+        before = dem.cpu_seconds
+        for _ in range(4):
+            dem.run(1000, still(bed))
+        spent = dem.cpu_seconds - before
+        x, _ = dem.state()
+    assert x[:, 2] - start[:, 2] == pytest.approx(np.full(count, -0.5 * G * 4e-3**2), rel=1e-6)
+    assert spent < 4000 * (2e-5 + 1e-6 * count)  # s: 10 to 20 us a step
+
+
+@solver
+def test_collisions_in_a_large_column_are_those_in_a_small_one(tmp_path: Path) -> None:
+    """Larger bins of space change how neighbours are found, not which."""
+    bed = scene(60)
+    start = lattice(bed)
+    ends = []
+    for side in (0.06, 6.0):
+        given = model(scene(60, column(height=side)))
+        with LiggghtsDem(given, tmp_path / f"{side:g}", start) as dem:
+            dem.run(4000, still(bed))
+            ends.append(dem.state()[0])
+    assert 0.45 * D < ends[0][:, 2].min() < 0.51 * D  # they landed: a free fall is 7.8 mm deep
+    assert ends[1] == pytest.approx(ends[0], abs=1e-9)
+
+
 # --- mechanics --------------------------------------------------------------------------------------------------------
 
 
