@@ -29,6 +29,8 @@ from kncal.trajectory import Trajectory
 
 #: Steps between two reports of progress (and two looks at whether the numbers are still finite).
 REPORT_EVERY = 2000
+#: More frames, or numbers in all of them, are no record that could be read back.
+MOST_FRAMES, MOST_NUMBERS = 5_000_000, 60_000_000
 #: Whole steps left before the next touch when a flight is passed in one stride.
 _STRIDE_MARGIN = 2
 
@@ -143,7 +145,7 @@ def integrate(model: Model, progress: Callable[[int, int], None] | None = None) 
         If `check` refuses the model.
     RunError
         If a particle goes through another body or a number is no longer finite: the time step is too long or
-        the contact too soft.
+        the contact too soft; or if there would be more than `MOST_FRAMES` frames or `MOST_NUMBERS` in them.
     """
     check(model)
     motion = _Motion(model)
@@ -151,9 +153,15 @@ def integrate(model: Model, progress: Callable[[int, int], None] | None = None) 
     last = model.n_steps
     steps, frames = array("q"), tuple(array("d") for _ in range(4))
     step, next_frame, next_report = 0, 0, REPORT_EVERY
+    most = min(MOST_FRAMES, MOST_NUMBERS // (4 * len(x)))
     gap = motion.load(False)
     while True:
         if step == next_frame:
+            if len(steps) >= most:
+                raise RunError(
+                    f"step {step} of {last}: {most} frames of {len(x) // 3} particles are recorded, expected no more: "
+                    "take a larger run.record_every, or a shorter run"
+                )
             steps.append(step)
             for frame, values in zip(frames, (x, v, spin, force), strict=True):
                 frame.extend(values)

@@ -275,6 +275,15 @@ def test_what_it_cannot_do_is_refused() -> None:
         integrate(dataclasses.replace(given, contacts={("bead", "floor"): soft}, n_steps=10**6))
 
 
+def test_frames_beyond_all_memory_end_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A sphere that rests is in contact for ever: a frame for every step."""
+    pressed = on_wall(gap=-1e-6, velocity=(0.0, 0.0, 0.0), gravity=9.81)
+    resting = dataclasses.replace(model(pressed, "linear", t_end=1e-3, e_n=0.5), n_steps=5000)
+    monkeypatch.setattr("kncal.integrator.MOST_FRAMES", 100)
+    result = Builtin().run(resting, tmp_path)
+    assert (result.status, "record_every" in result.message) == ("failed", True)
+
+
 def test_engine_runs_and_reads_back(tmp_path: Path) -> None:
     given, engine = model(on_wall(), "hertz", t_end=5e-4, e_n=0.9), Builtin()
     engine.render(given, tmp_path)

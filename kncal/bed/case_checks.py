@@ -21,6 +21,7 @@ from kncal.case_checks import (
     material_problems,
     needs_problems,
 )
+from kncal.checks import Array
 from kncal.statistics import MIN_SAMPLES
 
 #: The names of the two kinds of bodies in the exceptions of a bed.
@@ -128,14 +129,27 @@ def _positions(case: BedTable) -> Iterator[Problem]:
     if column.front_back == "layer" and off.size:
         k = int(off[0])
         yield (*path, k), f"y = {x[k, 1]:g}: expected {0.5 * column.depth:g}, the middle plane of the layer"
-    from scipy.spatial import cKDTree
-
-    close = cKDTree(x).query_pairs(0.5 * particles.diameter * (1.0 - 1e-12))
-    for i, k in sorted(close)[:3]:
+    for i, k in _too_close(x, 0.5 * particles.diameter * (1.0 - 1e-12)):
         yield (
             (*path, k),
             f"positions[{k}] = {x[k].tolist()}: overlaps positions[{i}] by more than a radius: expected less",
         )
+
+
+def _too_close(x: Array, limit: float) -> list[tuple[int, int]]:
+    """Return up to three pairs of rows of ``x`` (n, 3) that are closer than ``limit``.
+
+    n particles in one place are n²/2 pairs. So first it is looked for two in one box whose diagonal is the limit; where
+    each box holds one at most, few can be close to any.
+    """
+    boxes = np.floor(x * (math.sqrt(3.0) / limit))
+    _, first, places = np.unique(boxes, axis=0, return_index=True, return_inverse=True)
+    earlier = first[places.reshape(-1)]
+    if len(shared := np.flatnonzero(earlier != np.arange(len(x)))):
+        return [(int(earlier[k]), int(k)) for k in shared[:3]]
+    from scipy.spatial import cKDTree
+
+    return sorted(cKDTree(x).query_pairs(limit))[:3]
 
 
 def _gas(case: BedTable) -> Iterator[Problem]:

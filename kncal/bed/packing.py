@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from kncal.bed.scene import BedScene
 from kncal.checks import Array, one_of
 from kncal.errors import InputError, ReadError, RunError
 from kncal.io.arrays import read_npz
+from kncal.planning import MOST_STEPS
 from kncal.stopping import check_stop
 
 PACKINGS = ("settled", "lattice", "given")
@@ -49,33 +51,45 @@ def lattice(scene: BedScene) -> Array:
     column, particles = scene.column, scene.particles
     d, n = particles.diameter, particles.count
     layer = column.front_back == "layer"
-    x = _sites(column.width, d)
-    periodic = column.front_back == "periodic"
-    y = np.array([0.5 * column.depth]) if layer else _sites(column.depth, d, periodic=periodic)
-    z = _sites(column.height, d)
-    room = len(x) * len(y) * len(z)
+    sides = [_Sites.of(column.width, d), _Sites.of(column.depth, d, periodic=column.front_back == "periodic")]
+    sides.append(_Sites.of(column.height, d))
+    if layer:
+        sides[1] = _Sites(1, 0.5 * column.depth, 0.0)
+    room = math.prod(side.number for side in sides)
     if room < n:
         raise InputError(
             f"{scene.name}: a loose lattice of the column {column.width:g} x {column.depth:g} x {column.height:g} m "
             f"has {room} places, the bed {n} particles: expected a larger column (height) or fewer particles"
         )
-    grid = np.stack(np.meshgrid(z, y, x, indexing="ij"), axis=-1).reshape(-1, 3)[:n, ::-1]
+    # only the places that are taken: a large column has more of them than fit into memory
+    grid, rest = np.empty((n, 3)), np.arange(n)
+    for axis, side in enumerate(sides):
+        rest, place = np.divmod(rest, min(side.number, n))
+        grid[:, axis] = side.first + side.spacing * place
     offset = np.random.default_rng(particles.seed).uniform(-OFFSET * d, OFFSET * d, (n, 3))
     if layer:
         offset[:, 1] = 0.0
     return np.ascontiguousarray(grid + offset)
 
 
-def _sites(length: float, d: float, *, periodic: bool = False) -> Array:
-    """Return lattice sites along one side, with the offset's room at both ends."""
-    if periodic:
-        number = math.floor(length / (SPACING * d))
-        first, spacing = 0.5 * length / max(number, 1), length / max(number, 1)
-    else:
-        free = length - (1.0 + 2.0 * OFFSET) * d
-        number = math.floor(free / (SPACING * d)) + 1 if free >= 0.0 else 0
-        first, spacing = (0.5 + OFFSET) * d, SPACING * d
-    return first + spacing * np.arange(number, dtype=np.float64)
+class _Sites(NamedTuple):
+    """Lattice sites along one side: their number, the first [m] and the spacing [m]."""
+
+    number: int
+    first: float
+    spacing: float
+
+    @classmethod
+    def of(cls, length: float, d: float, *, periodic: bool = False) -> _Sites:
+        """Return the sites along a side of ``length`` [m], with the offset's room at both ends."""
+        if periodic:
+            number = math.floor(length / (SPACING * d))
+            first, spacing = 0.5 * length / max(number, 1), length / max(number, 1)
+        else:
+            free = length - (1.0 + 2.0 * OFFSET) * d
+            number = math.floor(free / (SPACING * d)) + 1 if free >= 0.0 else 0
+            first, spacing = (0.5 + OFFSET) * d, SPACING * d
+        return cls(number, first, spacing)
 
 
 def packing(model: BedModel, cache_dir: Path | None = None) -> Array:
@@ -155,8 +169,13 @@ def _settle(model: BedModel, start: Array) -> Array:
 
     scene = model.scene
     d, g = scene.particles.diameter, scene.gravity
-    chunk = max(1, round(math.sqrt(d / g) / model.dt))
     fall = math.sqrt(2.0 * float(start[:, 2].max()) / g)
+    if fall > MOST_STEPS * model.dt:
+        raise InputError(
+            f"{scene.name}: the particles fall for {fall:.3g} s until they are settled, {fall / model.dt:.3g} steps: "
+            f"expected at most {MOST_STEPS:.3g}; take more gravity, or packing 'lattice'"
+        )
+    chunk = max(1, round(math.sqrt(d / g) / model.dt))
     looks = math.ceil(PATIENCE * fall / (chunk * model.dt))
     nothing = np.zeros_like(start)
     quiet, share = 0, math.inf

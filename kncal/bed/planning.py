@@ -16,8 +16,10 @@ from kncal.needs import Needs
 from kncal.pair_contact import Rest, numbers_of, pair_contact, smooth
 from kncal.planning import MOST_STEPS
 
-#: Frames that take more than this are refused before the run [bytes]: a report reads all of them.
-MOST_FRAME_BYTES = 8 * 1024**3
+#: Records that take more than this are refused before the run [bytes]: a report reads all of them.
+MOST_SERIES_BYTES = 8 * 1024**3
+#: What is recorded of a coupling [bytes], two histograms of impact speeds and one of overlaps the most of it.
+COUPLING_BYTES = 2700
 #: The two kinds of bodies in a bed; also the names in `BedModel.contacts` and in the exceptions of a case.
 PARTICLES, WALLS = "particles", "walls"
 
@@ -73,7 +75,7 @@ def _model(scene: BedScene, kind: str, needs: Needs) -> BedModel:
             f"most {MOST_STEPS:.3g}; take a longer run.gas_step, or shorten run.end_time"
         )
     frames_every = max(round(min(scene.run.frames_every / coupling, couplings + 1.0)), 1)
-    _check_frames(scene, couplings // frames_every)
+    _check_series(scene, couplings, couplings // frames_every)
     return BedModel(
         scene=scene,
         kind=kind,
@@ -87,13 +89,14 @@ def _model(scene: BedScene, kind: str, needs: Needs) -> BedModel:
     )
 
 
-def _check_frames(scene: BedScene, frames: int) -> None:
-    """Refuse frames that would fill disk and memory: single precision, six numbers a particle, five a gas cell."""
+def _check_series(scene: BedScene, couplings: int, frames: int) -> None:
+    """Refuse records that would fill disk and memory: single precision, six numbers a particle, five a gas cell."""
     size = 24 * scene.particles.count + (20 * math.prod(scene.column.cells) if scene.gas is not None else 0)
-    if frames * size > MOST_FRAME_BYTES:
+    if frames * size + couplings * COUPLING_BYTES > MOST_SERIES_BYTES:
         raise CaseFileError(
-            f"{scene.name}: {frames} frames of {size / 1e6:.3g} MB: expected at most {MOST_FRAME_BYTES / 1e9:.3g} GB "
-            "in all; take a longer run.frames_every"
+            f"{scene.name}: {frames} frames of {size / 1e6:.3g} MB and {couplings} couplings of "
+            f"{COUPLING_BYTES / 1e3:.3g} kB are to be recorded: expected at most {MOST_SERIES_BYTES / 1e9:.3g} GB in "
+            "all; take a longer run.frames_every, a longer run.coupling or a shorter run.end_time"
         )
 
 

@@ -23,7 +23,7 @@ from kncal.case_schema import (
 MOST_PARTICLES, MOST_CELLS_PER_AXIS, MOST_RAMP = 1_000_000, 10_000, 1000
 MOST_CELLS = 1_000_000
 
-Length = Annotated[float, above_zero("m", "1 mm is 1e-3", high=1e3)]
+Length = Annotated[float, within(2e-9, 1e3, "m", "1 mm is 1e-3")]
 GasSpeed = Annotated[float, within(0.0, 1e3, "m/s")]
 Coordinate = Annotated[float, within(0.0, 1e3, "m", "1 mm is 1e-3")]
 Time = Annotated[float, within(0.0, 1e6, "s")]

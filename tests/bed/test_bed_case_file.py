@@ -2,11 +2,16 @@
 
 import json
 import re
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from kncal.bed.case_checks import _too_close
 from kncal.bed.case_file import dump_bed, load_bed, parse_bed
 from kncal.bed.metrics import BED_METRICS
 from kncal.bed.needs import decide
@@ -141,6 +146,26 @@ FAULTS = [
     ("tangential = false", "gas = false", "expected one of rolling, tangential", None),
     ("[materials.soft]", "[materials.walls]", "stands for the bodies of a bed", None),
 ]
+
+
+def test_all_particles_in_one_place_are_found_without_counting_their_pairs():
+    """They make n²/2 pairs, which would take all memory."""
+    tracemalloc.start()
+    told = _too_close(np.full((13_000, 3), 0.01), 6e-4)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert told == [(0, 1), (0, 2), (0, 3)]
+    assert peak < 1e8
+
+
+@given(st.integers(2, 60), st.integers(0, 10**6))
+def test_particles_that_are_too_close_are_found_wherever_they_are(n, seed):
+    x = np.random.default_rng(seed).uniform(0.0, 4.0, (n, 3))
+    apart = np.linalg.norm(x[:, None] - x[None], axis=-1) + np.diag(np.full(n, np.inf))
+    close = {(int(i), int(k)) for i, k in np.argwhere(apart < 0.5) if i < k}
+    told = _too_close(x, 0.5)
+    assert bool(told) == bool(close)
+    assert set(told) <= close
 
 
 @pytest.mark.parametrize(("old", "new", "text", "key"), FAULTS)

@@ -1,18 +1,21 @@
 """The numbers of a bed: those of the calibration, steps and intervals that fit, nothing but the normal law differs."""
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import pytest
+from bed_runs import facts, series
 from hypothesis import given
 from hypothesis import strategies as st
 
 from kncal import calibrate, pair, wall_pair
 from kncal.bed.case_file import load_bed
 from kncal.bed.needs import BED_PHYSICS, decide
-from kncal.bed.planning import bed_pairs, plan_bed
+from kncal.bed.planning import COUPLING_BYTES, bed_pairs, plan_bed
 from kncal.bed.scene import BedScene
 from kncal.case_file import shipped_cases
+from kncal.coupling.dem_child import histogram_edges
+from kncal.coupling.impacts import speed_edges
 from kncal.errors import CaseFileError, InputError
 from kncal.model import KINDS
 from kncal.scene import PairChoice
@@ -155,6 +158,27 @@ def test_endless_runs_are_refused():
 
 
 # --- what a bed needs -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("column", "run"),
+    [
+        ({"cells": (100, 100, 100)}, {"end_time": 1.0, "frames_every": 5e-4}),
+        ({}, {"end_time": 100.0, "coupling": 1e-5, "steps_per_contact": 5.0}),
+    ],
+)
+def test_records_that_fill_the_memory_are_refused(column, run):
+    """2000 frames of a million gas cells; ten million couplings."""
+    bed = replace(MINI, column=replace(MINI.column, **column), run=replace(MINI.run, **run))
+    with pytest.raises(CaseFileError, match=r"run\.frames_every.*run\.coupling"):
+        plan_bed(bed)
+
+
+def test_what_a_coupling_records_is_as_large_as_planned():
+    run = series(facts(histogram_edges=tuple(histogram_edges(1e-3)), impact_edges=tuple(speed_edges())), 10)
+    arrays = [getattr(run, f.name) for f in fields(run) if f.name not in ("facts", "coupling")]
+    per_coupling = sum(a.nbytes / 10 for a in arrays if len(a) == 10) + run.coupling.nbytes / 10
+    assert per_coupling == pytest.approx(COUPLING_BYTES, rel=0.1)
 
 
 def used(bed: BedScene) -> set[str]:

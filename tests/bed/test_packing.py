@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -51,6 +52,19 @@ def test_a_lattice_that_does_not_fit() -> None:
         lattice(scene(10_000))
 
 
+@pytest.mark.parametrize("front_back", ["walls", "periodic"])
+def test_a_huge_column_takes_no_more_memory(front_back: str) -> None:
+    """Its lattice has 1e18 places, of which a few are taken."""
+    huge = scene(400, column(width=1e3, depth=1e3, height=1e3, front_back=front_back))
+    tracemalloc.start()
+    x = lattice(huge)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 1e6
+    assert len(np.unique(x, axis=0)) == 400
+    assert (x > 0.5 * D).all()
+
+
 def test_seeds_differ_and_repeat() -> None:
     assert np.array_equal(lattice(scene(seed=1)), lattice(scene(seed=1)))
     assert not np.array_equal(lattice(scene(seed=1)), lattice(scene(seed=2)))
@@ -71,6 +85,8 @@ def test_what_cannot_settle() -> None:
         packing(model(scene(gravity=0.0)))
     with pytest.raises(InputError, match="linear"):
         packing(model(scene(), "hertz"))
+    with pytest.raises(InputError, match="steps"):  # 1e10 of them
+        packing(model(scene(gravity=1e-10)))
 
 
 @solver
