@@ -125,10 +125,13 @@ def _not_installed(run: _Evidence) -> Diagnosis | None:
 def _timed_out(run: _Evidence) -> Diagnosis | None:
     if run.process.status != "timed_out":
         return None
+    remedy = "give it more time or a shorter run"
+    if run.process.stopped:
+        remedy = "it did nothing at the end, since a signal from outside had stopped it (SIGSTOP, or a debugger)"
     return Diagnosis(
         code="timed-out",
-        message=f"LIGGGHTS was stopped by the time limit after {run.process.wall_seconds:.3g} s, {run.reached()}; "
-        f"give it more time or a shorter run; log: {run.log_path}",
+        message=f"LIGGGHTS was ended by the time limit after {run.process.wall_seconds:.3g} s, {run.reached()}; "
+        f"{remedy}; log: {run.log_path}",
     )
 
 

@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from kncal.awake import awake
 from kncal.errors import RenderError
 
 LOCK = ".lock"
@@ -62,12 +63,12 @@ def sign(descriptor: int) -> None:
 
 def _lock(descriptor: int) -> None:
     """Take the lock; who only looks whether it is held (`kncal.states.holder`) holds it for an instant, too."""
-    deadline = time.monotonic() + _INSTANT
+    deadline = awake() + _INSTANT
     while True:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            if time.monotonic() > deadline:
+            if awake() > deadline:
                 raise
             time.sleep(0.01)
         else:

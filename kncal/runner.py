@@ -13,9 +13,10 @@ import tempfile
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from kncal.awake import awake
 from kncal.checks import positive
 from kncal.errors import InputError, RunError
 from kncal.io.text import MAX_LINE, decode_line
@@ -45,6 +46,7 @@ class ProcessResult:
     wall_seconds : [s]
     last_lines : the last lines of its output (at most 20), without control characters
     command : what was asked for, without the wrapper that kncal adds
+    stopped : a signal had stopped it (SIGSTOP; it did nothing, and had not ended) when its time was over
     """
 
     status: str
@@ -54,6 +56,7 @@ class ProcessResult:
     wall_seconds: float
     last_lines: tuple[str, ...]
     command: tuple[str, ...] = ()
+    stopped: bool = False
 
 
 #: Of a program of one rank, not under mpirun. Otherwise it starts Open MPI's daemon, in a session of its own where no
@@ -111,7 +114,8 @@ def run_process(
     env : mapping, optional
         The whole environment; None: `solver_environment`.
     timeout : float, optional
-        Wall-clock limit [s]; after it the child gets SIGTERM twice, then SIGKILL, ``grace`` apart.
+        Wall-clock limit [s], but for time in which kncal itself was stopped (see `kncal.awake`). After it the child
+        gets SIGTERM twice, then SIGKILL, ``grace`` apart.
     on_line : callable, optional
         Called in this thread with each line of output, soon after it is written (see `decode_line`).
     pass_fds : sequence of int
@@ -136,7 +140,7 @@ def run_process(
         raise InputError(f"cwd = {cwd}: not a folder")
     if timeout is not None:
         positive("timeout", timeout, unit="s")
-    begin = time.monotonic()
+    begin, deadline = time.monotonic(), None if timeout is None else awake() + timeout
     descriptor = _open_log(log)
     try:
         # Isolated programs of one rank share the name of Open MPI's session folder: the first that ends would remove
@@ -147,15 +151,15 @@ def run_process(
             child = _start(command, cwd, environment, descriptor, pass_fds)
             if child is None:
                 return _result("not_installed", None, None, 0.0, begin, output, command)
-            deadline = None if timeout is None else begin + timeout
-            status, code, cpu = _watch(child, output, deadline, grace)
+            status, code, cpu, stopped = _watch(child, output, deadline, grace)
             output.finish()
     finally:
         os.close(descriptor)
     if code == _NOT_FOUND:
         status = "not_installed"
     number = -code if code < 0 else None
-    return _result(status, None if code < 0 else code, number, cpu, begin, output, command)
+    result = _result(status, None if code < 0 else code, number, cpu, begin, output, command)
+    return replace(result, stopped=stopped)
 
 
 class _Output:
@@ -242,11 +246,12 @@ def _start(
 
 def _watch(
     child: subprocess.Popen[bytes], output: _Output, deadline: float | None, grace: float
-) -> tuple[str, int, float]:
-    """Wait for the end, ending the child if need be: status, code as of `Popen.returncode`, CPU seconds."""
-    status = "exited"
+) -> tuple[str, int, float, bool]:
+    """Wait for the end, ending the child if need be: status, code as of `Popen.returncode`, CPU seconds, stopped."""
+    status, stopped = "exited", False
     try:
         if not _wait(child.pid, deadline, output):
+            stopped = is_stopped(child.pid)
             status = "interrupted" if _end(child.pid, grace) else "timed_out"
     except KeyboardInterrupt:
         status = "interrupted"
@@ -256,7 +261,7 @@ def _watch(
         _reap(child)
         raise
     code, cpu = _reap(child)
-    return status, code, cpu
+    return status, code, cpu, stopped
 
 
 def _wait(pid: int, deadline: float | None, output: _Output | None) -> bool:
@@ -270,10 +275,10 @@ def _wait(pid: int, deadline: float | None, output: _Output | None) -> bool:
             check_stop()
         if ended:
             return True
-        if deadline is not None and time.monotonic() >= deadline:
+        if deadline is not None and awake() >= deadline:
             return False
         if not more:
-            left = pause if deadline is None else min(pause, max(deadline - time.monotonic(), 0.0))
+            left = pause if deadline is None else min(pause, max(deadline - awake(), 0.0))
             time.sleep(left)
             pause = min(1.5 * pause, 0.05)
 
@@ -287,7 +292,8 @@ def _end(pid: int, grace: float) -> bool:
     try:
         for _ in range(2):
             _signal_group(pid, signal.SIGTERM)
-            if _wait(pid, time.monotonic() + grace, None):
+            _signal_group(pid, signal.SIGCONT)  # one that is stopped would not see it
+            if _wait(pid, awake() + grace, None):
                 break
     except KeyboardInterrupt:
         hurried = True
@@ -308,6 +314,17 @@ def _signal_group(pid: int, number: int) -> None:
         os.killpg(pid, number)
     except ProcessLookupError:
         return  # all of it has gone
+
+
+def is_stopped(pid: int) -> bool:
+    """Return whether a process, or one that it started, is stopped (SIGSTOP, a debugger) without having ended."""
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace").rpartition(")")[2].split()[0]
+        threads = list(Path(f"/proc/{pid}/task").glob("*/children"))
+        children = [int(child) for path in threads for child in path.read_text(encoding="ascii").split()]
+    except OSError:
+        return False  # it has gone
+    return state in "Tt" or any(map(is_stopped, children))
 
 
 def _result(

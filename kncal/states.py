@@ -30,6 +30,7 @@ ADVICE: Mapping[str, str] = {
     "lost-particles": "they passed a wall or each other: a stiffer contact, or more run.steps_per_contact",
     "passed-through": "a stiffer contact for such an impact, or a smaller time step (more run.steps_per_contact)",
     "not-finite": "a smaller time step (more run.steps_per_contact; of the gas: a smaller run.gas_step)",
+    "peer-stopped": "find out what stops the solver but not kncal; the same command again goes on from its checkpoint",
     "peer-died": "its log says why; the same command again goes on from the last checkpoint",
     "broken-invariant": "a smaller run.coupling, or larger gas cells",
     "no-end-marker": "was it stopped from outside? the same command again",

@@ -16,6 +16,7 @@ import pytest
 from wall_deck import DENSITY, DT, GAMMA_N, K_N, RADIUS, wall_deck
 
 import kncal.runner
+from kncal.awake import awake
 from kncal.errors import InputError, RunError
 from kncal.io.liggghts_dump import read_trajectory
 from kncal.io.liggghts_log import read_log, step_of_line
@@ -46,6 +47,7 @@ def wait_until(condition: Callable[[], bool], limit: float = 10.0) -> None:
 @pytest.fixture
 def run(tmp_path: Path):
     def _run(command: tuple[str, ...], **options: object) -> ProcessResult:
+        awake()  # its clock has a thread, from the first look on
         before = threading.active_count()
         result = run_process(command, cwd=tmp_path, log=tmp_path / "log", **options)  # type: ignore[arg-type]
         assert threading.active_count() == before

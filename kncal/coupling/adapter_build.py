@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from kncal.awake import awake
 from kncal.errors import KncalError
 from kncal.resources import cache_folder
 from kncal.runner import ProcessResult, run_process, solver_environment
@@ -256,13 +257,13 @@ def _default_cache() -> Path:
 def _only_builder(path: Path, say: Progress) -> Iterator[None]:
     """Hold the lock of a library's folder; it goes with the process that holds it, however that ends."""
     with path.open("w") as lock:
-        deadline, told = time.monotonic() + _LONG, False
+        deadline, told = awake() + _LONG, False
         while True:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 break
             except BlockingIOError as error:
-                if time.monotonic() > deadline:
+                if awake() > deadline:
                     raise AdapterError(f"{path}: another build has held it for {_LONG:g} s; end that one") from error
             if not told:
                 say("waiting for another build of the adapter")

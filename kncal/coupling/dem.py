@@ -24,12 +24,14 @@ from typing import Any
 
 import numpy as np
 
+from kncal.awake import awake
 from kncal.bed.model import BedModel
 from kncal.checks import Array
 from kncal.coupling.base import DemStep
 from kncal.coupling.dem_child import LIBRARY, MAX_MESSAGE, SAVED_FORCES, Shared, histogram_edges
 from kncal.coupling.dem_deck import DECK, RESTART, as_rows, middle, sides, write_deck
 from kncal.coupling.impacts import speed_edges
+from kncal.coupling.solver_process import receive, silent
 from kncal.errors import InputError, RunError, SolverMissingError
 from kncal.io.text import decode_line
 from kncal.runner import solver_environment
@@ -124,7 +126,7 @@ class LiggghtsDem:
             theirs.close()
             os.close(memory)
         self._shared: Shared | None = Shared.over(buffer, self._count)
-        self._take(self._receive(time.monotonic() + _START_LIMIT), None)
+        self._take(self._receive(_START_LIMIT), None)
 
     @property
     def cpu_seconds(self) -> float:
@@ -194,7 +196,7 @@ class LiggghtsDem:
             return
         with suppress(OSError):  # it has gone already
             self._channel.send(b'{"do": "close"}')
-        self._end(time.monotonic() + _GRACE)
+        self._end(awake() + _GRACE)
 
     def __enter__(self) -> LiggghtsDem:
         return self
@@ -262,19 +264,19 @@ class LiggghtsDem:
         self._open()
         with suppress(OSError):  # it has gone; receiving says so, with its text
             self._channel.send(json.dumps(request).encode())
-        answer = self._receive(time.monotonic() + limit)
+        answer = self._receive(limit)
         self._take(answer, steps)
         return answer
 
-    def _receive(self, deadline: float) -> dict[str, Any]:
-        """Return the next answer; whatever else happens ends the child."""
-        limit = deadline - time.monotonic()
-        self._channel.settimeout(max(limit, 0.001))
+    def _receive(self, limit: float) -> dict[str, Any]:
+        """Return the next answer, within ``limit`` [s]; whatever else happens ends the child."""
         try:
-            message = self._channel.recv(MAX_MESSAGE)
-        except TimeoutError:
-            self._end(0.0)
-            raise RunError(f"LIGGGHTS did not answer within {limit:.0f} s; log: {self._log}", "peer-died") from None
+            message = receive(self._channel, MAX_MESSAGE, limit)
+        except TimeoutError as late:
+            try:
+                raise silent("LIGGGHTS", self.pid or 0, limit, self._log) from late
+            finally:
+                self._end(0.0)
         except ConnectionError:
             message = b""
         except BaseException:
@@ -283,7 +285,7 @@ class LiggghtsDem:
         if message:
             answer: dict[str, Any] = json.loads(message)
             return answer
-        code = self._end(time.monotonic() + _GRACE)
+        code = self._end(awake() + _GRACE)
         raise self._failure(code)
 
     def _take(self, answer: dict[str, Any], steps: int | None) -> None:
@@ -326,7 +328,7 @@ class LiggghtsDem:
             return 0
         pause = 0.001
         while os.waitid(os.P_PID, child.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
-            if time.monotonic() >= deadline:
+            if awake() >= deadline:
                 break
             time.sleep(pause)
             pause = min(2.0 * pause, 0.05)

@@ -163,7 +163,12 @@ def process_error(program: str, result: ProcessResult, log: Path) -> RunError:
     if result.status == "not_installed":
         return SolverMissingError(f"{program} is not installed (no such program on PATH): apt-get install openfoam")
     if result.status == "timed_out":
-        return RunError(f"{program} did not end within its time limit and was stopped; see {log}")
+        if result.stopped:
+            text = (
+                f"{program} was stopped from outside (SIGSTOP, or a debugger) and did not go on within its time limit"
+            )
+            return RunError(f"{text}; kncal has ended it; log: {log}", "peer-stopped")
+        return RunError(f"{program} did not end within its time limit and was ended; see {log}", "peer-died")
     if result.status == "interrupted":
         return RunError(f"{program} was interrupted; see {log}")
     words = fatal_error(log) or " / ".join(line for line in result.last_lines[-3:] if line)

@@ -240,12 +240,6 @@ class LiveGas:
         except PeerLostError as error:
             self.close()
             result = error.result
-            if error.timed_out:
-                raise RunError(
-                    f"{SOLVER} did not answer within {self._time_limit:g} s and was stopped; its last line: "
-                    f"{result.last_lines[-1]!r}; see {solver.log}",
-                    "peer-died",
-                ) from error
             if result.returncode == 0 and not self._attached:
                 words = [line for line in result.last_lines if "ncalExchange" in line or "dlopen" in line]
                 raise AdapterError(

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from kncal.awake import awake
 from kncal.bed.facts import bed_facts
 from kncal.bed.model import BedModel
 from kncal.bed.series import SeriesWriter
@@ -123,7 +124,7 @@ class CoupledRun:
         TimeoutError, KeyboardInterrupt
             If ``time_limit`` [s] is over, or it was asked to stop; it goes on from the last coupling, which is saved.
         """
-        model, started, cpu = self.model, time.monotonic(), time.thread_time()
+        model, started, cpu, begin = self.model, time.monotonic(), time.thread_time(), awake()
         saved = started
         before = self._before
 
@@ -159,7 +160,7 @@ class CoupledRun:
                 if now - saved > CHECKPOINT_SECONDS:
                     self._keep(series, number, spent(number))
                     saved = now
-                if time_limit is not None and now - started > time_limit and number < model.couplings:
+                if time_limit is not None and awake() - begin > time_limit and number < model.couplings:
                     self._keep(series, number, spent(number))
                     raise TimeoutError(
                         f"stopped after coupling {number} of {model.couplings}: {time_limit:g} s are over"

@@ -11,26 +11,62 @@ import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from kncal.awake import LOOK, awake
 from kncal.errors import RunError, SolverMissingError
 from kncal.io.text import decode_line
-from kncal.runner import ProcessResult
+from kncal.runner import ProcessResult, is_stopped
 from kncal.stopping import check_stop, shielded_start
 
 _TOKEN = 4  # bytes of a command and of an answer
 _GRACE = 10.0  # s that a solver may take to end once it was asked, or once its socket has closed
-_LOOK = 0.5  # s between two looks whether to stop, while it waits for an answer
 _CLOCK = os.sysconf("SC_CLK_TCK")
 _LOG_LIMIT = 16 << 20  # bytes; a long run would write gigabytes
 _KEPT = 1 << 14  # bytes from the end of the log that are searched for last words
 
 
-class PeerLostError(RunError):
-    """The solver did not answer and has been ended; ``result`` says how, ``timed_out`` whether it still lived."""
+def receive(channel: socket.socket, size: int, limit: float) -> bytes:
+    """Return what a solver sends, at most ``size`` bytes; empty if it has closed its end.
 
-    def __init__(self, result: ProcessResult, *, timed_out: bool) -> None:
+    Raises
+    ------
+    TimeoutError
+        If nothing comes within ``limit`` [s] in which kncal ran (see `kncal.awake`).
+    ConnectionError
+        If the solver is gone.
+    KeyboardInterrupt
+        If it was asked to stop (see `kncal.stopping`).
+    """
+    deadline = awake() + limit
+    while True:
+        channel.settimeout(min(max(deadline - awake(), 1e-3), LOOK))
+        try:
+            return channel.recv(size)
+        except TimeoutError:
+            if awake() >= deadline:
+                raise
+            check_stop()
+
+
+def silent(program: str, pid: int, limit: float, log: Path) -> RunError:
+    """Return the error that says why a solver that lives did not answer within ``limit`` [s]; ask before it is ended.
+
+    Its failure is "peer-stopped" if a signal had stopped the solver, "peer-died" if not.
+    """
+    if is_stopped(pid):
+        return RunError(
+            f"{program} (process {pid}) was stopped from outside (SIGSTOP, or a debugger) and did not go on within "
+            f"{limit:.3g} s while kncal ran; kncal has ended it; log: {log}",
+            "peer-stopped",
+        )
+    return RunError(f"{program} did not answer within {limit:.3g} s, and was ended; log: {log}", "peer-died")
+
+
+class PeerLostError(RunError):
+    """The solver has ended without an answer; ``result`` says how."""
+
+    def __init__(self, result: ProcessResult) -> None:
         super().__init__(f"{result.command[0]} did not answer")
         self.result = result
-        self.timed_out = timed_out
 
 
 class SolverProcess:
@@ -145,34 +181,26 @@ class SolverProcess:
         Raises
         ------
         PeerLostError
-            If it ended, or did not answer in time.
+            If it ended.
+        RunError
+            If it did not answer in time; see `silent`.
         """
-        timed_out = False
         try:
-            if len(self._answer(limit)) == _TOKEN:
+            if len(receive(self._socket, _TOKEN, limit)) == _TOKEN:
                 return
-        except TimeoutError:
-            timed_out = True
-            self._signal(signal.SIGKILL)
+        except TimeoutError as late:
+            try:
+                raise silent(self._command[0], self.pid, limit, self.log) from late
+            finally:
+                self._signal(signal.SIGKILL)
+                self.end()
         except ConnectionError:
             pass  # the same as the end of what is to be received: it has gone
         except BaseException:  # Ctrl-C: the answer would be taken for that to another command
             self._signal(signal.SIGKILL)
             self.end()
             raise
-        raise PeerLostError(self.end(), timed_out=timed_out)
-
-    def _answer(self, limit: float) -> bytes:
-        deadline = time.monotonic() + limit
-        while True:
-            left = deadline - time.monotonic()
-            self._socket.settimeout(max(min(left, _LOOK), 1e-3))
-            try:
-                return self._socket.recv(_TOKEN)
-            except TimeoutError:
-                if left <= _LOOK:
-                    raise
-                check_stop()
+        raise PeerLostError(self.end())
 
     def end(self) -> ProcessResult:
         """Close the socket, which ends the solver, and collect it; one that lingers is killed. May be called twice."""
@@ -211,9 +239,9 @@ class SolverProcess:
 
     def _wait(self, limit: float) -> None:
         """Wait until the child has ended (it stays a zombie, so its number stays its own) or the limit is over."""
-        deadline, pause = time.monotonic() + limit, 0.002
+        deadline, pause = awake() + limit, 0.002
         while os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
-            if time.monotonic() > deadline:
+            if awake() > deadline:
                 return
             time.sleep(pause)
             pause = min(1.5 * pause, 0.05)

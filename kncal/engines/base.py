@@ -19,10 +19,12 @@ FRAMES = "particles.dump"
 STATUSES = ("completed", "failed", "timed_out", "interrupted", "not_installed")
 
 #: What a failed run died of. "killed" also stands for a run whose kncal or machine was stopped before it could say so,
-#: "broken-invariant" for a coupled run whose momentum or mass does not balance, "solver-error" for what a solver says.
+#: "peer-stopped" for a solver that a signal (SIGSTOP) held while kncal went on, "broken-invariant" for a coupled run
+#: whose momentum or mass does not balance, "solver-error" for what a solver says.
 FAILURES = (
-    "lost-particles", "not-finite", "disk-full", "killed", "peer-died", "broken-invariant", "no-end-marker",
-    "wrong-last-step", "empty-output", "truncated-output", "passed-through", "solver-error", "bad-input",
+    "lost-particles", "not-finite", "disk-full", "killed", "peer-died", "peer-stopped", "broken-invariant",
+    "no-end-marker", "wrong-last-step", "empty-output", "truncated-output", "passed-through", "solver-error",
+    "bad-input",
 )  # fmt: skip
 
 #: Called while a run goes on with (steps done, steps in all).

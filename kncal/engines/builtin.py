@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from kncal import __version__
+from kncal.awake import awake
 from kncal.engines.base import FRAMES, Profile, Progress, RunResult, read_frames, run_result
 from kncal.errors import KncalError, RenderError, failure_of
 from kncal.integrator import check, integrate
@@ -68,12 +69,12 @@ class Builtin:
     ) -> RunResult:
         """Integrate the model and write its frames; never raises for a failed run, the status says so."""
         del pass_fds  # there is no other process
-        started, cpu_started = time.monotonic(), time.thread_time()
+        started, cpu_started, begin = time.monotonic(), time.thread_time(), awake()
 
         def on_steps(done: int, total: int) -> None:
             if progress is not None:
                 progress(done, total)
-            if timeout is not None and time.monotonic() - started > timeout:
+            if timeout is not None and awake() - begin > timeout:
                 raise _TimeoutError(f"stopped at step {done} of {total}: not done within {timeout:g} s")
 
         status, message, failure = "completed", "", ""

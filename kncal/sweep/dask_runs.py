@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import os
 import socket
-import time
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, wait
@@ -20,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 from uuid import uuid4
 
 from kncal import __version__
+from kncal.awake import awake
 from kncal.errors import InputError
 from kncal.mpi import cores
 from kncal.sweep.dask_clusters import DETACHED, Cluster, GivenScheduler, LocalWorkers, SlurmWorkers
@@ -132,9 +132,9 @@ class DaskExecutor:
                 if not task.future.cancel():  # its worker died before
                     task.future.set_result(_failed(task, "interrupted", "interrupted", "stopped by the user"))
             live = list(self._live.values())
-        deadline = time.monotonic() + _STOP
+        deadline = awake() + _STOP
         left = {task.future for _, task in live}
-        while left and time.monotonic() < deadline and self._connected():
+        while left and awake() < deadline and self._connected():
             # again and again: a worker may have been replaced
             _within(_ANSWER, self._halt)
             left = wait(left, timeout=1.0).not_done

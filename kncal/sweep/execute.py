@@ -15,6 +15,7 @@ from threading import Event, Lock
 from typing import Any, Protocol
 
 from kncal import __version__
+from kncal.awake import awake
 from kncal.bed.scene import BedScene
 from kncal.case_file import CASE
 from kncal.checks import one_of
@@ -190,7 +191,7 @@ def _holds(wanted: Mapping[str, Any], found: Mapping[str, Any]) -> bool:
 
 def _run(sweep: Sweep, scene: Scene | BedScene, out: Path) -> None:
     out.parent.mkdir(exist_ok=True)
-    deadline = time.monotonic() + PATIENCE
+    deadline = awake() + PATIENCE
     while True:
         try:
             if isinstance(scene, BedScene):
@@ -198,7 +199,7 @@ def _run(sweep: Sweep, scene: Scene | BedScene, out: Path) -> None:
             else:
                 _run_case(sweep, scene, out)
         except FolderInUseError:
-            if time.monotonic() > deadline:
+            if awake() > deadline:
                 raise
             check_stop()
             time.sleep(0.05)

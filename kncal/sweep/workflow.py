@@ -14,6 +14,7 @@ from queue import Empty, SimpleQueue
 from typing import Any
 
 from kncal import __version__
+from kncal.awake import awake
 from kncal.case_file import CASE
 from kncal.engines.base import Profile
 from kncal.errors import InputError, InterruptedRunError, ReadError, SolverMissingError
@@ -204,13 +205,13 @@ class _Session:
         self._rows: dict[str, list[Row]] = {}
         self._count: Counter[bool] = Counter()  # of runs that completed (True) and did not (False)
         self._kept = 0
-        self._started = time.monotonic()
-        self._next_table = self._started + TABLE_SECONDS
+        self._started = awake()
+        self._next_table = time.monotonic() + TABLE_SECONDS
 
     def run(self) -> SweepResult:
         todo = [run for run in self._sweep.runs if not self._keep(run)]
         self._kept = len(self._records)
-        self._started = time.monotonic()
+        self._started = awake()
         states = StatesFile(self._folder, [_note(record) for record in self._records.values()])
         try:
             self._run_all(todo, states)
@@ -278,7 +279,7 @@ class _Session:
         completed, failed = self._count[True], self._count[False]
         new = completed + failed - self._kept
         total = len(self._sweep.runs)
-        rate = (time.monotonic() - self._started) / new if new else None
+        rate = (awake() - self._started) / new if new else None
         self._tell(
             SweepProgress(
                 total=total,

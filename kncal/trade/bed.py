@@ -7,12 +7,12 @@ stopped: see `kncal.trade.budget.allocate` (how long) and `bisection_order` (whi
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from kncal.awake import awake
 from kncal.bed.compare import ObservedRun, observed
 from kncal.bed.planning import plan_bed
 from kncal.bed.scene import BedScene
@@ -152,7 +152,7 @@ class _Session:
             limit = max(FIRST_SHARE * self.budget.seconds, shortest)
             self._start(lanes, waiting[0], min(limit, left))
             return True
-        capacity = lanes.workers * left - sum(max(end - time.monotonic(), 0.0) for end in going.values())
+        capacity = lanes.workers * left - sum(max(end - awake(), 0.0) for end in going.values())
         works = [Work(name=t.name, rate=rate_of(t, rates), done=t.done) for t in tracks]
         length = self.reference.length
         targets = allocate(weighted(works) if tracks[0] is self.reference else works, max(capacity, 0.0), length)
@@ -283,11 +283,11 @@ class _Session:
         kept = self.seen.get(name)
         if kept is not None and kept[0] == track.couplings:
             return kept[1]
-        began = time.monotonic()
+        began = awake()
         run: ObservedRun | None = None
         with suppress(InputError):  # too short
             run = observed(load_part(track.run))
-        self.looking = max(self.looking, time.monotonic() - began)
+        self.looking = max(self.looking, awake() - began)
         self.seen[name] = (track.couplings, run)
         return run
 

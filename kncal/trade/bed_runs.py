@@ -13,7 +13,6 @@ import hashlib
 import json
 import math
 import os
-import time
 from collections.abc import Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import asdict, dataclass, field, replace
@@ -24,6 +23,7 @@ from threading import Event
 import numpy as np
 
 from kncal import __version__
+from kncal.awake import awake
 from kncal.bed.compare import BedRunData
 from kncal.bed.model import BedModel
 from kncal.bed.planning import plan_bed
@@ -320,7 +320,7 @@ class Lanes:
 
     @property
     def going(self) -> dict[str, float]:
-        """Name -> latest end [s, monotonic] of what runs now; infinite without a limit."""
+        """Name -> latest end [s, of `kncal.awake`] of what runs now; infinite without a limit."""
         return {track.name: end for track, end in self._going.values()}
 
     @property
@@ -330,7 +330,7 @@ class Lanes:
 
     def start(self, track: Track, limit: float | None) -> None:
         """Run a track on for ``limit`` [s], or to its end."""
-        ends = math.inf if limit is None else time.monotonic() + limit + self.overhead
+        ends = math.inf if limit is None else awake() + limit + self.overhead
         self._going[self._pool.submit(self._run, track, limit)] = (track, ends)
 
     def ended(self, seconds: float) -> list[Track]:
@@ -352,7 +352,7 @@ class Lanes:
         return tracks
 
     def _run(self, track: Track, limit: float | None) -> tuple[VariantRun, float]:
-        began = time.monotonic()
+        began = awake()
         found = run_variants(
             self._case,
             [track.candidate.variant],
@@ -362,7 +362,7 @@ class Lanes:
             timeout=limit,
             on_progress=partial(_look, self._stop),
         )
-        wall = time.monotonic() - began
+        wall = awake() - began
         run = found[track.name]
         if limit is not None and run.status == STOPPED:
             self.overhead = max(self.overhead, min(wall - limit, 30.0))

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+from kncal.awake import awake
 from kncal.checks import positive
 
 
 class Budget:
-    """Wall-clock time from now on; without an end for ``seconds`` None.
+    """Wall-clock time from now on, but for pauses (see `kncal.awake`); without an end for ``seconds`` None.
 
     Raises
     ------
@@ -19,7 +19,7 @@ class Budget:
         If ``seconds`` is not a positive number.
     """
 
-    def __init__(self, seconds: float | None, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, seconds: float | None, clock: Callable[[], float] = awake) -> None:
         if seconds is not None:
             positive("budget", seconds, unit="s")
         self.seconds = seconds

@@ -318,7 +318,7 @@ def test_a_solver_that_hangs_is_given_up_after_the_limit(tmp_path: Path, adapter
     toy.advance(gas, 1)
     pid = _pid(gas)
     os.kill(pid, signal.SIGSTOP)
-    with _within(SOON), pytest.raises(RunError, match="did not answer within 1 s and was stopped"):
+    with _within(SOON), pytest.raises(RunError, match="within 1 s"):
         toy.advance(gas, 1)
     assert not _alive(pid)
 

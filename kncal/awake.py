@@ -1,0 +1,58 @@
+"""The clock of every limit of time: it stands still while this process itself does.
+
+A batch system's suspend, ``docker pause`` or SIGSTOP holds kncal and its solvers together. When they go on, no solver
+has been silent, and no run has used up its time: the pause is no one's.
+"""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+
+#: The clock is looked at so often [s]; no wait that is to be told from a pause may be longer.
+LOOK = 0.25
+#: A look that comes so late [s] is a pause. A busy machine holds a process back for less.
+LAPSE = 1.5
+
+
+class _Clock:
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._seen = time.monotonic()
+        self._lost = 0.0
+        self._watch: threading.Thread | None = None
+
+    def seconds(self) -> float:
+        with self._lock:
+            now = time.monotonic()
+            if self._watch is None:
+                self._seen = now
+                self._begin()
+            gap = now - self._seen
+            if gap > LAPSE:
+                self._lost += gap - LOOK
+            self._seen = now
+            return now - self._lost
+
+    def _begin(self) -> None:
+        """Look at the clock from now on, whatever the others do. A signal is not for the thread that does."""
+        self._watch = threading.Thread(target=self._look, name="kncal-awake", daemon=True)
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
+        try:
+            self._watch.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+    def _look(self) -> None:
+        while True:
+            time.sleep(LOOK)
+            self.seconds()
+
+
+_CLOCK = _Clock()
+
+
+def awake() -> float:
+    """Return a time [s] for differences only, as `time.monotonic`, without what this process was stopped for."""
+    return _CLOCK.seconds()
