@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from kncal.coupling.checkpoint import CHECKPOINT, GAS, PARTICLES
+from kncal.coupling.checkpoint import RECORD as CHECKPOINT_RECORD
+from kncal.coupling.dem_deck import DECK
 from kncal.errors import ReadError, RenderError
-from kncal.folder import MANIFEST
+from kncal.folder import OURS, is_attempt, is_run_folder
 from kncal.lock import LOCK, locked
 from kncal.model import KINDS
+from kncal.records import MANIFEST, ModelManifest, is_record
 from kncal.states import find_run_folders, holder, run_state
 
-#: Of a completed coupled run: where the solvers worked, and from where it could have gone on.
-_WORK = ("gas", "gas-*", "particles", "particles-*", "checkpoint-*")
+#: Of a completed coupled run: where the solvers worked, and from where it could have gone on; and what tells each
+#: from a folder of somebody's own with such a name.
+_WORK = (
+    (re.compile(r"gas(-[1-9]\d*)?"), ("system", "constant", "log.*")),
+    (re.compile(r"particles(-[1-9]\d*)?"), (DECK, "log.*")),
+    (CHECKPOINT, (CHECKPOINT_RECORD, GAS, PARTICLES)),
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,6 +67,7 @@ def plan_cleaning(root: Path) -> tuple[tuple[Removal, ...], tuple[str, ...]]:
             left.append(f"{out}: left alone, a link; name the folder that it leads to")
         else:
             found = _removable(out).items()
+            left += [f"{path}: left alone, {why}" for path, why in _kept(out)]
             removals += [Removal(path=path, owner=out, why=why, size=_size(path)) for path, why in found]
     return tuple(removals), tuple(left)
 
@@ -107,15 +118,40 @@ def _remove(group: Iterable[Removal], removable: Mapping[Path, str]) -> tuple[in
 
 def _removable(out: Path) -> dict[Path, str]:
     """Return path -> why of each folder that may go from the run folder ``out``."""
-    found = dict.fromkeys(sorted(out.glob("attempt-*")), "an earlier attempt")
+    if not is_run_folder(out):
+        return {}
+    found = {path: "an earlier attempt" for path in _attempts(out) if not _others(path)}
     for folder in (out / kind for kind in KINDS):
         if _completed_bed(folder):
-            found |= {path: "of a completed run" for name in _WORK for path in sorted(folder.glob(name))}
-    return {path: why for path, why in found.items() if path.is_dir() and not path.is_symlink()}
+            found |= {path: "of a completed run" for path in sorted(folder.iterdir()) if _was_worked_in(path)}
+    return found
+
+
+def _kept(out: Path) -> list[tuple[Path, str]]:
+    """Return the attempts in ``out`` that hold more than kncal put there, and what."""
+    if not is_run_folder(out):
+        return []
+    found = [(path, _others(path)) for path in _attempts(out)]
+    return [(path, f"it holds {', '.join(names[:3])}, not made by kncal") for path, names in found if names]
+
+
+def _attempts(out: Path) -> list[Path]:
+    return sorted(path for path in out.iterdir() if is_attempt(path))
+
+
+def _others(attempt: Path) -> list[str]:
+    return sorted(path.name for path in attempt.iterdir() if path.name not in (*OURS, LOCK))
+
+
+def _was_worked_in(path: Path) -> bool:
+    """Return whether a solver of a bed worked in this folder, or it is a checkpoint."""
+    if path.is_symlink() or not path.is_dir():
+        return False
+    return any(name.fullmatch(path.name) and any(any(path.glob(sign)) for sign in signs) for name, signs in _WORK)
 
 
 def _completed_bed(folder: Path) -> bool:
-    if folder.is_symlink() or not (folder / "series").is_dir() or not (folder / MANIFEST).is_file():
+    if folder.is_symlink() or not (folder / "series").is_dir() or not is_record(ModelManifest, folder / MANIFEST):
         return False
     return run_state(folder).status == "completed"
 

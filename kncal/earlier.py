@@ -9,7 +9,8 @@ from typing import Any, Literal
 
 from kncal.engines.base import RunResult
 from kncal.errors import ReadError
-from kncal.folder import RESULT, STARTED, read_manifest, read_result, set_aside
+from kncal.folder import read_manifest, read_result, set_aside
+from kncal.records import RESULT, STARTED
 
 #: Called with a sentence for the user.
 Tell = Callable[[str], None]

@@ -15,39 +15,49 @@ import os
 import platform
 import shutil
 import socket
+import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
-from pathlib import Path, PurePosixPath
-from typing import Annotated, Any, Literal, TypeVar
-
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pathlib import Path
+from typing import Any
 
 from kncal import __version__
 from kncal.bed.model import BedModel
 from kncal.bed.scene import BedScene
-from kncal.case_file import dump_case, load_case
+from kncal.case_file import MOST_BYTES, dump_case, load_case
 from kncal.engines.base import FRAMES, Profile, RunResult
-from kncal.errors import ReadError, RenderError, RunError
+from kncal.errors import ReadError, RenderError, RunError, failure_of
 from kncal.foreign_templates import foreign_hashes
-from kncal.io.tables import read_json, write_json
+from kncal.io.files import MOST_HASHED, read_limited, sha256
+from kncal.io.tables import write_json
 from kncal.lock import LOCK, locked, sign
-from kncal.model import Model
+from kncal.model import KINDS, Model
+from kncal.records import (
+    ATTEMPT,
+    MANIFEST,
+    RESULT,
+    STARTED,
+    CaseManifest,
+    ModelManifest,
+    Result,
+    Started,
+    is_record,
+    read_record,
+)
 from kncal.scene import Scene
 
-MANIFEST, STARTED, RESULT, CASE, REPORT = "manifest.json", "started.json", "result.json", "case.toml", "report"
+CASE, REPORT = "case.toml", "report"
+#: Rows of a run in the table of its sweep (see `kncal.sweep.rows`).
+ROW = "row.json"
 #: What a bed run leaves for its numbers, as ``particles.dump`` of a single contact.
 SERIES = "series.csv"
 PIECES = "series"
 #: Folder in a run folder with the rounds that measured its impact speed (see `kncal.measured`).
 MEASURING = "measuring"
-
-
-def sha256(path: Path) -> str:
-    """Return the SHA-256 of a file as hexadecimal text."""
-    with path.open("rb") as handle:
-        return hashlib.file_digest(handle, "sha256").hexdigest()
+#: All that kncal puts into a run folder and moves to an attempt; what else is there is somebody's own.
+OURS = (*KINDS, CASE, MANIFEST, REPORT, ROW)
 
 
 @contextmanager
@@ -101,7 +111,17 @@ def refuse_foreign(out: Path) -> None:
 
 
 def _check_ours(out: Path) -> None:
-    if out.is_dir() and not (out / MANIFEST).is_file() and not all(map(_left_behind, out.iterdir())):
+    if not out.is_dir():
+        return
+    if (out / MANIFEST).exists():
+        try:
+            read_record(CaseManifest, out / MANIFEST)
+        except ReadError as error:
+            raise RenderError(
+                f"{out}: not a run folder, its {MANIFEST} is none of kncal's ({error}); choose an empty folder with "
+                "--out, nothing was changed"
+            ) from error
+    elif not all(map(_left_behind, out.iterdir())):
         raise RenderError(
             f"{out}: the folder holds files and no kncal {MANIFEST}; choose an empty folder with --out, "
             "nothing was changed"
@@ -111,34 +131,54 @@ def _check_ours(out: Path) -> None:
 def _left_behind(path: Path) -> bool:
     """Return whether this may be there without a manifest: what a start leaves that is killed just then."""
     half_written = path.name.startswith(f".{MANIFEST}.") and path.name.endswith(".part")
-    kept = (path.name.startswith("attempt-") or path.name == MEASURING) and path.is_dir()
-    return path.name == LOCK or half_written or kept
+    kept = (ATTEMPT.fullmatch(path.name) or path.name == MEASURING) and path.is_dir()
+    return path.name == LOCK or half_written or bool(kept)
 
 
 def _same_case(scene: Scene | BedScene, out: Path) -> bool:
     text = dump_case(scene).encode()
-    return (out / CASE).is_file() and (out / CASE).read_bytes() == text
+    try:
+        return read_limited(out / CASE, MOST_BYTES, "a case file") == text
+    except ReadError:
+        return False
 
 
 def set_aside(out: Path, kinds: Iterable[str] | None = None) -> Path:
     """Move what earlier runs left in ``out`` to a new ``attempt-N``, and return that.
 
     With ``kinds`` only the folders of these models and the report on them; the case is copied, so that the attempt can
-    still be read.
+    still be read. What kncal did not put there stays.
     """
     number = 1
-    while (attempt := out / f"attempt-{number}").exists():
+    while os.path.lexists(attempt := out / f"attempt-{number}"):
         number += 1
-    names = None if kinds is None else {*kinds, REPORT}
-    stays = (LOCK, MEASURING)
-    old = [path for path in out.iterdir() if path.name not in stays and not path.name.startswith("attempt-")]
+    names = OURS if kinds is None else (*kinds, REPORT)
     attempt.mkdir()
-    for path in sorted(old, key=lambda path: path.name == MANIFEST):  # the manifest last, see `_check_ours`
-        if names is None or path.name in names:
-            shutil.move(path, attempt / path.name)
-        elif path.name in (CASE, MANIFEST):
-            shutil.copyfile(path, attempt / path.name)
+    if (out / MANIFEST).exists():
+        shutil.copyfile(out / MANIFEST, attempt / MANIFEST)  # first: it says whose the attempt is (see `is_attempt`)
+    if (out / CASE).exists():
+        shutil.copyfile(out / CASE, attempt / CASE)
+    for name in sorted(names, key=lambda name: name == MANIFEST):  # the manifest last, see `_check_ours`
+        if os.path.lexists(out / name):
+            shutil.move(out / name, attempt / name)
     return attempt
+
+
+def is_run_folder(out: Path) -> bool:
+    """Return whether ``out`` is a run folder of kncal, also one whose start was killed before its manifest."""
+    if os.path.lexists(out / MANIFEST):
+        return is_record(CaseManifest, out / MANIFEST)
+    return (out / LOCK).is_file() and all(map(_left_behind, out.iterdir()))
+
+
+def is_attempt(folder: Path) -> bool:
+    """Return whether this is what `set_aside` made: by its name, and a record of kncal in it."""
+    if not ATTEMPT.fullmatch(folder.name) or folder.is_symlink() or not folder.is_dir():
+        return False
+    models = (folder / kind for kind in KINDS)
+    return is_record(CaseManifest, folder / MANIFEST) or any(
+        is_record(ModelManifest, model / MANIFEST) or is_record(Started, model / STARTED) for model in models
+    )
 
 
 def refuse_links(out: Path) -> None:
@@ -234,10 +274,12 @@ def write_result(result: RunResult) -> None:
     try:
         output = [path for name in (FRAMES, SERIES, log) if name and (path := result.folder / name).is_file()]
         output += sorted((result.folder / PIECES).glob("*"))
-        files = {path.relative_to(result.folder).as_posix(): sha256(path) for path in output}
+        files = {path.relative_to(result.folder).as_posix(): sha256(path, sys.maxsize) for path in output}
         write_json(result.folder / RESULT, data | {"files_sha256": files, "ended": _now()})
     except OSError as error:
         raise RunError(f"{result.folder / RESULT}: cannot be written ({error.strerror or error})") from error
+    except ReadError as error:
+        raise RunError(str(error), failure_of(error)) from error
 
 
 def read_result(folder: Path) -> RunResult:
@@ -251,16 +293,19 @@ def read_result(folder: Path) -> RunResult:
     path = folder / RESULT
     if not path.is_file():
         raise ReadError(f"{path}: not there, so this run has not ended; run it with `kncal run`")
-    record = _parse(_Result, path)
+    record = read_record(Result, path)
+    size = 0
     for name, digest in record.files_sha256.items():
         if not (folder / name).is_file():
             raise ReadError(f"{folder / name}: not there, though the run wrote it; run the case again")
+        if (size := size + (folder / name).stat().st_size) > 4 * MOST_HASHED:
+            raise ReadError(f"{path}: files_sha256: more than {4 * MOST_HASHED} bytes, expected smaller files")
         if sha256(folder / name) != digest:
             raise ReadError(f"{folder / name}: changed since the run ended; run the case again")
     needed = SERIES if record.engine == "coupled" else FRAMES
     if record.status == "completed" and needed not in record.files_sha256:
         raise ReadError(f"{path}: files_sha256 names no {needed}, expected it of a completed run")
-    data = record.model_dump(exclude={"ended", "files_sha256", "folder", "log"})
+    data = record.model_dump(exclude={"ended", "files_sha256", "folder", "log"}, exclude_unset=True)
     return RunResult(**data, folder=folder, log=folder / record.log if record.log else None)
 
 
@@ -275,7 +320,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     path = folder / MANIFEST
     if not path.is_file():
         raise ReadError(f"{folder}: no {MANIFEST}; expected a model's run folder, e.g. runs/wall_impact/hertz")
-    data = _parse(_Manifest, path).model_dump()
+    data = read_record(ModelManifest, path).model_dump()
     if not data["foreign_templates"]:
         del data["foreign_templates"]
     return data
@@ -298,100 +343,6 @@ def read_model_folder(folder: Path) -> tuple[Scene | BedScene, str, str]:
     if data["model"] != folder.resolve().name:
         raise ReadError(f"{folder / MANIFEST}: model = {data['model']!r}, expected that of the folder's name")
     return load_case(case, name=data["case"]), data["model"], data["engine"]
-
-
-def _file_name(text: str) -> str:
-    if text != Path(text).name and text:
-        raise ValueError("expected the name of a file in the run's folder")
-    return text
-
-
-def _inside(text: str) -> str:
-    path = PurePosixPath(text)
-    if not text or path.is_absolute() or ".." in path.parts or text != path.as_posix():
-        raise ValueError("expected the path and name of a file inside the run's folder")
-    return text
-
-
-_Kind = Literal["linear", "hertz"]
-_Count = Annotated[int, Field(ge=0)]
-_Positive = Annotated[float, Field(gt=0.0)]
-_Seconds = Annotated[float, Field(ge=0.0)]
-_FileName = Annotated[str, AfterValidator(_file_name)]
-_Digests = dict[Annotated[str, AfterValidator(_inside)], Annotated[str, Field(pattern="^[0-9a-f]{64}$")]]
-
-
-class _Record(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
-
-
-class _Extra(_Record):
-    model_config = ConfigDict(extra="allow")
-
-    cpu_samples: list[_Seconds] = []
-
-
-class _Result(_Record):
-    """``result.json``: a `RunResult` as `write_result` writes it."""
-
-    status: Literal["completed", "failed", "timed_out", "interrupted", "not_installed"]
-    engine: str
-    model: _Kind
-    folder: str
-    steps: _Count
-    dt: _Positive
-    cpu_seconds: _Seconds
-    wall_seconds: _Seconds
-    version: str
-    returncode: int | None = None
-    message: str
-    failure: str = ""
-    log: _FileName
-    extra: _Extra
-    files_sha256: _Digests
-    ended: str
-
-
-class _Solver(_Record):
-    program: str
-    version: str
-    sha256: str
-    warning: str
-
-
-class _Manifest(_Record):
-    """``manifest.json`` of a model's folder, as `write_model_manifest` writes it."""
-
-    kncal: str
-    case: str
-    case_sha256: str
-    model: _Kind
-    engine: str
-    solver: _Solver
-    command: list[str]
-    ranks: Annotated[int, Field(ge=1)] = 1
-    environment: dict[str, str]
-    python: str
-    platform: str
-    dt: _Positive
-    steps: _Count
-    t_end: _Seconds
-    contacts: dict[str, dict[str, Any]]
-    files_sha256: _Digests
-    rendered: str
-    foreign_templates: dict[str, Annotated[str, Field(pattern="^[0-9a-f]{64}$")]] = {}
-
-
-_R = TypeVar("_R", bound=_Record)
-
-
-def _parse(kind: type[_R], path: Path) -> _R:
-    try:
-        return kind.model_validate(read_json(path))
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "the whole file"
-        raise ReadError(f"{path}: {key}: {first['msg']}; expected what kncal {__version__} writes") from error
 
 
 def _now() -> str:

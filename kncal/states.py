@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kncal.errors import ReadError
-from kncal.folder import MANIFEST, RESULT, STARTED, read_result
-from kncal.io.tables import read_json
+from kncal.folder import read_result
 from kncal.lock import LOCK
 from kncal.model import KINDS
+from kncal.records import ATTEMPT, MANIFEST, RESULT, STARTED, Started, read_record
 
 #: Every state of a run.
 STATES = ("rendered", "running", "completed", "timed_out", "interrupted", "not_installed", "failed")
@@ -95,9 +95,9 @@ def run_state(folder: Path) -> RunState:
     if owner:
         return _state(folder, "running", "", "", owner)
     try:
-        record = read_json(folder / STARTED)
-        who = f"process {record['pid']} on {record['host']}, started {record['started']}"
-    except (ReadError, KeyError, TypeError):
+        record = read_record(Started, folder / STARTED)
+        who = f"process {record.pid} on {record.host[:80]}, started {record.started[:40]}"
+    except ReadError:
         who = "an unknown process"
     return _state(folder, "failed", "killed", f"{who}, was stopped before it could write a result", "")
 
@@ -110,14 +110,16 @@ def case_states(out: Path) -> tuple[RunState, ...]:
 def find_run_folders(root: Path) -> Iterator[Path]:
     """Find run folders of cases in ``root``, itself included; attempts and what links lead to are left out.
 
-    A folder whose only models are links is none.
+    A folder whose only models are links is none. One that a killed start left may hold nothing but attempts.
     """
     for path, folders, files in os.walk(root):
-        if MANIFEST in files and any(kind in folders and not Path(path, kind).is_symlink() for kind in KINDS):
+        attempts = [f for f in folders if ATTEMPT.fullmatch(f)]
+        models = [kind for kind in KINDS if kind in folders and not Path(path, kind).is_symlink()]
+        if (MANIFEST in files and models) or (attempts and (MANIFEST in files or LOCK in files)):
             yield Path(path)
             folders.clear()
         else:
-            folders[:] = sorted(f for f in folders if not f.startswith("attempt-"))
+            folders[:] = sorted(set(folders).difference(attempts))
 
 
 def command_of(folder: Path) -> str:

@@ -27,8 +27,6 @@ from kncal.errors import (
     failure_of,
 )
 from kncal.folder import (
-    MANIFEST,
-    RESULT,
     case_folder,
     model_manifest,
     read_manifest,
@@ -41,6 +39,7 @@ from kncal.io.tables import write_json
 from kncal.model import KINDS, Model
 from kncal.observe import observe
 from kncal.planning import plan
+from kncal.records import MANIFEST, RESULT
 from kncal.scene import Scene
 
 #: Engines by name; liggghts-hooke lets LIGGGHTS find the stiffness itself (cases with method strain_energy only).

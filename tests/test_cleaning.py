@@ -15,9 +15,9 @@ from kncal.case_file import load_scene
 from kncal.cleaning import clean, plan_cleaning
 from kncal.engines.base import FAILURES
 from kncal.engines.builtin import Builtin
-from kncal.errors import ReadError
-from kncal.folder import RESULT
+from kncal.errors import ReadError, RenderError
 from kncal.lock import locked, sign
+from kncal.records import RESULT
 from kncal.states import ADVICE, STATES, case_states, run_state
 from kncal.workflow import run_case
 
@@ -147,6 +147,73 @@ def test_folders_that_are_not_kncals_are_not_touched(tmp_path: Path) -> None:
     assert plan_cleaning(tmp_path) == ((), ())
     with pytest.raises(ReadError, match="not a folder"):
         plan_cleaning(tmp_path / "no")
+
+
+def snapshot(root: Path) -> set[str]:
+    return {str(path.relative_to(root)) for path in root.rglob("*")}
+
+
+@pytest.mark.parametrize(
+    "manifest",
+    ["{}", '{"name": "app", "icons": []}', "x", None, '{"kncal": 1, "case": "x", "case_sha256": "", "a": 1}'],
+)
+def test_a_strangers_manifest_makes_no_run_folder(tmp_path: Path, manifest: str | None) -> None:
+    """A web page has a manifest.json too; neither is it cleaned, nor moved aside by a run."""
+    web = tmp_path / "web"
+    for name in ("linear", "attempt-at-novel", "attempt-1"):
+        (web / name).mkdir(parents=True)
+        (web / name / "ch1.txt").write_text("x")
+    if manifest is not None:
+        (web / "manifest.json").write_text(manifest)
+    before = snapshot(tmp_path)
+    assert plan_cleaning(tmp_path) == ((), ())
+    with pytest.raises(RenderError, match="--out"):
+        run_case(SCENE, Builtin(), web)
+    assert snapshot(tmp_path) == before
+
+
+OWN = ["attempt-mine", "attempt-01", "attempt-2", "linear/gas-photos", "linear/particles-thesis", "linear/gas-7"]
+
+
+def test_what_a_user_put_into_a_run_folder_stays(worked: Path) -> None:
+    """Folders like kncal's by their name, and a note in an attempt; also when the run is done anew."""
+    (worked / "linear" / "checkpoint-3").mkdir()
+    (worked / "linear" / "checkpoint-3" / "checkpoint.json").write_text("{}")
+    own = [*OWN, "linear/checkpoint-mine"]
+    for name in own:
+        (worked / name).mkdir()
+        (worked / name / "mine.txt").write_text("x")
+    removals, left = plan_cleaning(worked)
+    assert {r.path.name for r in removals} == {"attempt-1", "gas", "particles", "checkpoint-3"}
+    assert left == ()
+    clean(removals)
+    assert all((worked / name / "mine.txt").is_file() for name in own)
+    (worked / "thesis.txt").write_text("x")
+    run_case(SCENE, Builtin(), worked, anew=True)
+    assert (worked / "thesis.txt").is_file()
+    assert (worked / "attempt-mine" / "mine.txt").is_file()
+    (worked / "attempt-1" / "notes.txt").write_text("x")
+    removals, left = plan_cleaning(worked)
+    assert removals == ()
+    assert len(left) == 1 and "notes.txt" in left[0]
+
+
+def test_what_killed_starts_left_can_be_removed(twice: Path) -> None:
+    """Killed while the earlier run was moved aside: attempts, the lock, and not yet a model."""
+    for kind in ("linear", "hertz"):
+        shutil.rmtree(twice / kind)
+    whole = shutil.copytree(twice / "attempt-1", twice / "attempt-2")
+    (whole / "manifest.json").unlink()
+    shutil.rmtree(whole / "hertz")
+    (whole / "linear" / RESULT).unlink()
+    removals, _ = plan_cleaning(twice.parent)
+    assert {r.path.name for r in removals} == {"attempt-1", "attempt-2"}
+    (twice / "manifest.json").unlink()
+    (twice / "case.toml").unlink()
+    removals, _ = plan_cleaning(twice.parent)
+    assert {r.path.name for r in removals} == {"attempt-1", "attempt-2"}
+    clean(removals)
+    assert not list(twice.glob("attempt-*"))
 
 
 def test_the_command_asks(twice: Path) -> None:

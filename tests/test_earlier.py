@@ -10,8 +10,9 @@ import pytest
 
 from kncal.case_file import load_scene
 from kncal.engines.builtin import Builtin
-from kncal.folder import RESULT, STARTED, read_result
+from kncal.folder import read_result
 from kncal.model import KINDS
+from kncal.records import RESULT, STARTED
 from kncal.states import case_states, find_run_folders, run_state
 from kncal.workflow import render_case, run_case
 

@@ -278,6 +278,18 @@ def read_series(folder: Path) -> BedSeries:
     return BedSeries(facts=facts, **(table | {"coupling": coupling}), **whole)
 
 
+def series_reaches(folder: Path, coupling: int) -> bool:
+    """Return whether there is a series with every coupling from 1 to ``coupling``."""
+    there: set[int] = set()
+    try:
+        facts = _read_facts(folder)
+        for path in folder.glob("piece-*.npz"):
+            there.update(_read_piece(path, facts)["rows"][:, 0].astype(np.int64).tolist())
+    except ReadError:
+        return False
+    return len(there.intersection(range(1, coupling + 1))) == coupling
+
+
 def write_series_csv(path: Path, series: BedSeries) -> None:
     """Write the numbers per coupling as CSV with units in its first line; see `kncal.io.tables.write_csv`."""
     import pandas as pd

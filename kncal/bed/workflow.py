@@ -17,7 +17,7 @@ from kncal.bed.packing import packing
 from kncal.bed.planning import plan_bed
 from kncal.bed.report import write_bed_report
 from kncal.bed.scene import BedScene
-from kncal.bed.series import read_series, write_series_csv
+from kncal.bed.series import read_series, series_reaches, write_series_csv
 from kncal.checks import Array, one_of, positive
 from kncal.coupling.checkpoint import GAS, PARTICLES, last_checkpoint
 from kncal.coupling.dem_deck import write_deck
@@ -28,7 +28,7 @@ from kncal.engines.base import Profile, RunResult
 from kncal.engines.coupled import Coupled, check_bed_ranks
 from kncal.errors import CaseFileError, ReadError, RunError, SolverMissingError, failure_of
 from kncal.folder import (
-    MANIFEST,
+    PIECES,
     SERIES,
     case_folder,
     model_manifest,
@@ -40,6 +40,7 @@ from kncal.folder import (
 )
 from kncal.io.tables import write_json
 from kncal.model import KINDS
+from kncal.records import MANIFEST
 from kncal.resources import cache_folder
 from kncal.workflow import require_completed
 
@@ -176,12 +177,12 @@ def _write_inputs(model: BedModel, folder: Path, positions: Array) -> None:
 
 
 def _checkpoints(out: Path, models: Mapping[str, BedModel]) -> dict[str, str]:
-    """Say where each unfinished model could go on."""
-    found = {kind: last_checkpoint(out / kind) for kind in models}
+    """Say where each unfinished model could go on: with a whole checkpoint, and the series up to it."""
+    found = {kind: last_checkpoint(out / kind, model.couplings) for kind, model in models.items()}
     return {
         kind: f"coupling {checkpoint.coupling} of {models[kind].couplings}"
         for kind, checkpoint in found.items()
-        if checkpoint is not None
+        if checkpoint is not None and series_reaches(out / kind / PIECES, checkpoint.coupling)
     }
 
 

@@ -42,9 +42,9 @@ _WHO = {"particles": "two particles", "walls": "a particle and a wall", "all": "
 
 def kn_from_run(folder: Path, uncertain: Sequence[str], picture: Path | None, *, json: bool) -> None:
     """Print the impact speeds of a run and k_n at them."""
-    from kncal.folder import MANIFEST
     from kncal.impact_speeds import plot_impact_speeds
     from kncal.model import KINDS
+    from kncal.records import MANIFEST
     from kncal.run_speeds import run_speeds
 
     if not folder.is_dir():

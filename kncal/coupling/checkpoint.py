@@ -2,18 +2,33 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
+import re
 import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field
 
 from kncal.errors import ReadError
-from kncal.io.tables import read_json, write_json
+from kncal.io.files import sha256
+from kncal.io.tables import write_json
+from kncal.records import Digests, Record, Seconds, read_record
 
 GAS, PARTICLES = "gas", "particles"
-_RECORD = "checkpoint.json"
+RECORD = "checkpoint.json"
+#: Name of a checkpoint's folder.
+CHECKPOINT = re.compile(r"checkpoint-([1-9]\d{0,15})")
+#: More couplings than any run has; a float holds them exactly.
+_MOST = 2**53
+
+
+class _Record(Record):
+    coupling: Annotated[int, Field(ge=1, le=_MOST)]
+    cost: dict[str, Seconds]
+    files_sha256: Digests
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,35 +59,36 @@ def write_checkpoint(
     for path in (*files, new / GAS, new / PARTICLES, new):
         if path.exists():
             _sync(path)
-    digests = {path.relative_to(new).as_posix(): _digest(path) for path in files}
-    write_json(new / _RECORD, {"coupling": coupling, "cost": dict(cost), "files_sha256": digests})
+    digests = {path.relative_to(new).as_posix(): sha256(path) for path in files}
+    write_json(new / RECORD, {"coupling": coupling, "cost": dict(cost), "files_sha256": digests})
     _sync(folder)
-    for old in folder.glob("checkpoint-*"):
+    for old in _folders(folder):
         if old != new:
             shutil.rmtree(old)
 
 
-def last_checkpoint(folder: Path) -> Checkpoint | None:
-    """Return the newest checkpoint of a run that is whole, None if there is none."""
-    found = [checkpoint for path in folder.glob("checkpoint-*") if (checkpoint := _read(path)) is not None]
+def last_checkpoint(folder: Path, couplings: int = _MOST) -> Checkpoint | None:
+    """Return the newest whole checkpoint of a run of so many couplings, None if there is none."""
+    found = [checkpoint for path in _folders(folder) if (checkpoint := _read(path, couplings)) is not None]
     return max(found, key=lambda checkpoint: checkpoint.coupling, default=None)
 
 
-def _read(path: Path) -> Checkpoint | None:
-    """Return a checkpoint; None if it was cut short while it was written, or changed since."""
+def _folders(folder: Path) -> list[Path]:
+    """Return the folders with the name of a checkpoint; what else is called so is somebody's own."""
+    found = folder.glob("checkpoint-*")
+    return [path for path in found if CHECKPOINT.fullmatch(path.name) and path.is_dir() and not path.is_symlink()]
+
+
+def _read(path: Path, couplings: int) -> Checkpoint | None:
+    """Return a checkpoint; None if it was cut short while it was written, changed since, or is not of such a run."""
     try:
-        data = read_json(path / _RECORD)
-        coupling, cost, files = data["coupling"], data["cost"], data["files_sha256"]
-        whole = all(_digest(path / name) == digest for name, digest in files.items())
-        numbers = {str(name): float(value) for name, value in cost.items()}
-    except (ReadError, OSError, KeyError, TypeError, ValueError, AttributeError):
+        record = read_record(_Record, path / RECORD)
+        if record.coupling > couplings or path.name != f"checkpoint-{record.coupling}":
+            return None
+        whole = all(sha256(path / name) == digest for name, digest in record.files_sha256.items())
+    except ReadError:
         return None
-    return Checkpoint(path=path, coupling=coupling, cost=numbers) if whole and isinstance(coupling, int) else None
-
-
-def _digest(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    return Checkpoint(path=path, coupling=record.coupling, cost=record.cost) if whole else None
 
 
 def _sync(path: Path) -> None:

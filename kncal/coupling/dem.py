@@ -129,6 +129,11 @@ class LiggghtsDem:
         self._take(self._receive(_START_LIMIT), None)
 
     @property
+    def step(self) -> int:
+        """Number of the last step, counted from the start of the bed."""
+        return self._step
+
+    @property
     def cpu_seconds(self) -> float:
         """CPU time of the child so far [s]."""
         return self._cpu

@@ -18,7 +18,7 @@ from kncal.coupling.checkpoint import GAS, PARTICLES, last_checkpoint
 from kncal.coupling.decomposed import divisions as check_divisions
 from kncal.coupling.loop import CoupledCost, CoupledRun, Progress, gas_setup
 from kncal.engines.base import Profile, RunResult
-from kncal.errors import InputError, KncalError, RunError, SolverMissingError, failure_of
+from kncal.errors import InputError, KncalError, ReadError, RunError, SolverMissingError, failure_of
 from kncal.mpi import MISSING as NO_MPIRUN
 from kncal.mpi import MPIRUN, check_ranks
 
@@ -175,7 +175,7 @@ class Coupled:
         from kncal.coupling.dem_child import histogram_edges
 
         frozen = model.scene.particles.frozen or model.scene.particles.count == 0
-        checkpoint = last_checkpoint(folder) if resume else None
+        checkpoint = last_checkpoint(folder, model.couplings) if resume else None
         first, state = (0, None) if checkpoint is None else (checkpoint.coupling, checkpoint.path)
         for name in (GAS, PARTICLES):
             _set_aside(folder / name)
@@ -190,6 +190,8 @@ class Coupled:
                 start = None if at else positions
                 dem = LiggghtsDem(model, folder / PARTICLES, start, restart=at, pass_fds=pass_fds)
                 sides.enter_context(_closing(dem))
+                if at is not None and dem.step != first * model.steps_per_coupling:
+                    raise ReadError(f"{at}: the state of step {dem.step}, not of coupling {first}; run it with --anew")
             run = CoupledRun(
                 model,
                 folder,

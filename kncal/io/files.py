@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import stat
 from pathlib import Path
 from typing import BinaryIO
 
 from kncal.errors import ReadError
+
+#: Of a larger file no digest is compared: that would take minutes [bytes].
+MOST_HASHED = 16 * 1024**3
 
 
 def open_limited(path: Path, most: int, expected: str, advice: str = "") -> BinaryIO:
@@ -37,6 +41,15 @@ def open_limited(path: Path, most: int, expected: str, advice: str = "") -> Bina
     except BaseException:
         os.close(descriptor)
         raise
+
+
+def sha256(path: Path, most: int = MOST_HASHED) -> str:
+    """Return the SHA-256 of a regular file of at most ``most`` bytes as hexadecimal text; errors as `open_limited`."""
+    with open_limited(path, most, "a file to compare with its record") as file:
+        try:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+        except OSError as error:
+            raise ReadError(f"{path}: cannot be read ({error.strerror})") from error
 
 
 def read_limited(path: Path, most: int, expected: str, advice: str = "") -> bytes:

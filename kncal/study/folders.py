@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection
 from pathlib import Path
 
-from kncal.errors import InputError
+from kncal.errors import InputError, ReadError
+from kncal.io.tables import read_json
 from kncal.lock import LOCK
 
 
@@ -24,13 +25,29 @@ def refuse_other(out: Path, record: str, started: Collection[str], case: str | P
     home = Path(case).parent if Path(case).is_file() else Path(case)
     if home.is_dir() and out.is_dir() and home.samefile(out):
         raise InputError(f"{out}: holds the case itself, which would be written over: choose another --out")
-    if not out.is_dir() or (out / record).is_file():
+    if not out.is_dir():
+        return
+    if (out / record).exists():
+        _check_record(out / record)
         return
     other = sorted(path.name for path in out.iterdir() if not _left(path.name, started))
     if other:
         raise InputError(
             f"{out}: holds {', '.join(other[:3])}{' ...' if len(other) > 3 else ''} and no {record}: expected a new or "
             "an empty folder, or that of the same command; choose another --out, nothing was changed"
+        )
+
+
+def _check_record(path: Path) -> None:
+    """Raise `InputError` if this is no record of a command of many runs: those say of which case."""
+    try:
+        data = read_json(path)
+        wrong = "" if isinstance(data, dict) and isinstance(data.get("case"), str) else "it names no case"
+    except ReadError as error:
+        wrong = str(error)
+    if wrong:
+        raise InputError(
+            f"{path}: not a record of kncal ({wrong}): choose another --out, or remove it; nothing was changed"
         )
 
 

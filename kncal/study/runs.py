@@ -15,8 +15,9 @@ from pathlib import Path
 
 from kncal.checks import in_range
 from kncal.errors import InputError
-from kncal.folder import RESULT, read_result
+from kncal.folder import read_result
 from kncal.model import KINDS
+from kncal.records import RESULT
 from kncal.study.variants import Variant
 from kncal.sweep.design import Settings, design_points, run_folder
 from kncal.sweep.execute import ThreadExecutor

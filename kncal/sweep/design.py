@@ -297,6 +297,15 @@ def write_design(folder: Path, sweep: Sweep, case_text: str) -> None:
     write_json(folder / DESIGN, sweep.model_dump())
 
 
+def is_design(path: Path) -> bool:
+    """Return whether a file is the design of a sweep, of this or another version of kncal."""
+    try:
+        data = read_json(path)
+    except ReadError:
+        return False
+    return isinstance(data, dict) and {"kncal", "case_sha256", "runs"} <= data.keys()
+
+
 def read_design(folder: Path) -> Sweep:
     """Read the design of a sweep.
 

@@ -17,13 +17,15 @@ from typing import Any, Protocol
 from kncal import __version__
 from kncal.awake import awake
 from kncal.bed.scene import BedScene
-from kncal.case_file import CASE
+from kncal.case_file import CASE, MOST_BYTES
 from kncal.checks import one_of
 from kncal.engines.base import Profile
 from kncal.errors import CaseFileError, InputError, KncalError, ReadError, RunError, SolverMissingError, failure_of
-from kncal.folder import MANIFEST, read_result, sha256
+from kncal.folder import read_result
+from kncal.io.files import read_limited, sha256
 from kncal.lock import FolderInUseError
 from kncal.mpi import check_fit
+from kncal.records import MANIFEST
 from kncal.scene import Scene
 from kncal.stopping import check_stop, stoppable
 from kncal.sweep.design import Sweep, identity, read_design, run_folder, scene_of
@@ -173,7 +175,7 @@ def finished(sweep: Sweep, folder: Path, run: str, wanted: Mapping[str, Any]) ->
     if len(stamps_of(sweep, out)) < len(sweep.models):
         return False
     try:
-        if identity(sweep, (out / CASE).read_text(encoding="utf-8")) != run:
+        if identity(sweep, read_limited(out / CASE, MOST_BYTES, "a case file").decode("utf-8")) != run:
             return False
         if not all(_holds(wanted, read_quickly(f"{out}/{kind}/{MANIFEST}")) for kind in sweep.models):
             return False

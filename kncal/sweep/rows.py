@@ -18,10 +18,10 @@ from typing import Any
 from kncal import __version__
 from kncal.engines.base import RunResult
 from kncal.errors import KncalError, ReadError
-from kncal.folder import RESULT, read_result
+from kncal.folder import ROW, read_result
+from kncal.records import RESULT
 from kncal.sweep.design import Sweep, run_folder
 
-ROW = "row.json"
 #: Why a run did not complete, by its status where that says it.
 _CLASSES = {"timed_out": "timed-out", "interrupted": "interrupted", "not_installed": "not-installed"}
 

@@ -16,8 +16,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from kncal.folder import RESULT
 from kncal.io.tables import write_text
+from kncal.records import RESULT
 from kncal.states import holder
 from kncal.sweep.design import RUNS, Sweep, read_design
 from kncal.sweep.rows import failure_class

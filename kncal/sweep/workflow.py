@@ -19,7 +19,7 @@ from kncal.case_file import CASE
 from kncal.engines.base import Profile
 from kncal.errors import InputError, InterruptedRunError, ReadError, SolverMissingError
 from kncal.lock import LOCK, locked, sign
-from kncal.sweep.design import DESIGN, RUNS, Sweep, read_design, run_folder, write_design
+from kncal.sweep.design import DESIGN, RUNS, Sweep, is_design, read_design, run_folder, write_design
 from kncal.sweep.execute import Executor, Record, ThreadExecutor, ended, finished, present
 from kncal.sweep.rows import Row
 from kncal.sweep.states import StatesFile
@@ -164,6 +164,10 @@ def _sweep_folder(folder: Path) -> Iterator[None]:
 
 
 def _check_ours(folder: Path) -> None:
+    if (folder / DESIGN).exists() and not is_design(folder / DESIGN):
+        raise InputError(
+            f"{folder}: its {DESIGN} is not the design of a sweep of kncal; choose another --out, nothing was changed"
+        )
     if folder.is_dir() and not (folder / DESIGN).is_file():
         # before sweep.json is whole, a start that was killed leaves at most these, and the lock in any case
         known = (LOCK, RUNS, CASE) if (folder / LOCK).exists() else ()

@@ -32,9 +32,10 @@ from kncal.bed.series import read_series
 from kncal.coupling.checkpoint import last_checkpoint
 from kncal.engines.base import RunResult
 from kncal.errors import InterruptedRunError, ReadError
-from kncal.folder import RESULT, read_model_folder, read_result
+from kncal.folder import read_model_folder, read_result
 from kncal.io.tables import read_json, write_json
 from kncal.model import KINDS
+from kncal.records import RESULT
 from kncal.study import VariantRun, run_variants
 from kncal.trade.base import Candidate
 
@@ -158,7 +159,7 @@ class Track:
         """Take note of how a part ended."""
         self.status, self.message, self.run = run.status, run.message, run.folder
         if run.folder is not None:
-            self._note(*spent(run.folder, run.status), wall)
+            self._note(*spent(run.folder, run.status, self.model.couplings), wall)
             record = {
                 "key": self.key,
                 "status": self.status,
@@ -204,12 +205,15 @@ def key_of(case_text: str, candidate: Candidate) -> str:
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
 
-def spent(folder: Path, status: str) -> tuple[int, dict[str, float]]:
-    """Return couplings done and CPU times by name [s] of a run, from its result or its checkpoint."""
+def spent(folder: Path, status: str, couplings: int) -> tuple[int, dict[str, float]]:
+    """Return couplings done, of ``couplings``, and CPU times by name [s] of a run, from its result or checkpoint."""
     if status == "completed":
         extra = read_result(folder).extra
-        return int(extra["couplings"]), {name: float(extra[f"cpu_{name}"]) for name in ("dem", "gas", "exchange")}
-    checkpoint = last_checkpoint(folder)
+        try:
+            return extra["couplings"], {name: extra[f"cpu_{name}"] for name in ("dem", "gas", "exchange")}
+        except KeyError as error:
+            raise ReadError(f"{folder / RESULT}: extra.{error.args[0]}: missing, expected it of a bed") from error
+    checkpoint = last_checkpoint(folder, couplings)
     return (0, {}) if checkpoint is None else (checkpoint.coupling, dict(checkpoint.cost))
 
 

@@ -23,6 +23,13 @@ def test_a_folder_of_other_things_is_refused(tmp_path: Path, name: str) -> None:
     assert (tmp_path / name).read_text() == "mine"
 
 
+@pytest.mark.parametrize("text", ["", "{}", '{"case": 5}', '{"price": 7.5}'])
+def test_a_stranger_s_record_is_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "trade.json").write_text(text)
+    with pytest.raises(InputError, match="nothing was changed"):
+        refuse_other(tmp_path, "trade.json", ("runs",), "wall_impact")
+
+
 def test_what_a_killed_start_left_is_taken_up(tmp_path: Path) -> None:
     refuse_other(tmp_path / "new", "trim.json", (), "wall_impact")
     for name in ("runs", ".lock", ".trim.json.x.part"):

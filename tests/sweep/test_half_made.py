@@ -10,7 +10,8 @@ import pytest
 import kncal.folder
 from kncal.case_file import load_case
 from kncal.errors import RenderError
-from kncal.folder import case_folder, sha256
+from kncal.folder import case_folder
+from kncal.io.files import sha256
 from kncal.workflow import get_engine, load_both, run_case
 
 
