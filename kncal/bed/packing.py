@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import hashlib
 import json
+import logging
 import math
 import os
 import tempfile
@@ -109,8 +110,6 @@ def packing(model: BedModel, cache_dir: Path | None = None) -> Array:
     ------
     InputError
         If the column is too small, there is no gravity to settle under, or the model is not the linear one.
-    ReadError
-        If the cached file is damaged.
     RunError
         If LIGGGHTS fails, or the particles do not come to rest.
     """
@@ -131,8 +130,9 @@ def packing(model: BedModel, cache_dir: Path | None = None) -> Array:
     cache_dir.mkdir(parents=True, exist_ok=True)
     path = cache_dir / f"{_key(model, start)}.npz"
     with _only_one(path):  # many runs of a sweep may want the same packing at once
-        if path.is_file():
-            return _load(path, scene.particles.count)
+        kept = _load(path, scene)
+        if kept is not None:
+            return kept
         settled = _settle(model, start)
         _store(path, settled)
         return settled
@@ -217,11 +217,18 @@ def _store(path: Path, positions: Array) -> None:
         raise
 
 
-def _load(path: Path, count: int) -> Array:
+def _load(path: Path, scene: BedScene) -> Array | None:
+    """Return the kept packing; None, with a warning, if the file is damaged: then it is made anew."""
+    if not os.path.lexists(path):
+        return None
+    count, column = scene.particles.count, scene.column
     try:
         positions = np.asarray(read_npz(path, _MOST_BYTES)["positions"], dtype=np.float64)
+        if positions.shape != (count, 3):
+            raise ReadError(f"shape {positions.shape}, expected ({count}, 3)")
+        if not ((positions >= 0.0) & (positions <= [column.width, column.depth, column.height])).all():
+            raise ReadError("positions outside the column")
     except (ReadError, KeyError) as error:
-        raise ReadError(f"{path}: damaged ({error}); delete it, it will be made again") from error
-    if positions.shape != (count, 3) or not np.isfinite(positions).all():
-        raise ReadError(f"{path}: shape {positions.shape}, expected ({count}, 3) finite numbers; delete it")
+        logging.getLogger("kncal").warning("%s: damaged (%s); the packing is made anew", path, error)
+        return None
     return positions

@@ -139,6 +139,23 @@ def test_a_checkpoint_that_a_power_cut_left_in_pieces_is_not_gone_on_with(tmp_pa
     assert said[0].startswith("linear runs anew")
 
 
+def test_a_checkpoint_of_a_coupling_that_was_not_computed_is_not_gone_on_with(tmp_path):
+    """Its name and its record agree, its files are whole, but the series ends before it."""
+    scene, out = mini(0.01), tmp_path / "run"
+    assert run_bed(scene, out, ("linear",), transport="restart", timeout=0.5)["linear"].status == "timed_out"
+    checkpoint = last_checkpoint(out / "linear")
+    end = plan_bed(scene, ("linear",))["linear"].couplings
+    assert checkpoint is not None and checkpoint.coupling < end
+    record = json.loads((checkpoint.path / "checkpoint.json").read_text())
+    (checkpoint.path / "checkpoint.json").write_text(json.dumps(record | {"coupling": end}))
+    checkpoint.path.rename(out / "linear" / f"checkpoint-{end}")
+    said: list[str] = []
+    result = run_bed(scene, out, ("linear",), transport="restart", tell=said.append)["linear"]
+    assert said[0].startswith("linear runs anew")
+    assert result.status == "completed"
+    assert len(read_series(out / "linear" / "series").t) == end
+
+
 @pytest.mark.parametrize("transport", ["live", "restart"])
 def test_the_solvers_of_a_bed_own_its_folder(tmp_path, transport):
     """They inherit the lock: an orphan would still keep others out."""

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from kncal.bed.packing import PACKINGS, lattice, packing
 from kncal.coupling.dem import LiggghtsDem
-from kncal.errors import InputError, ReadError, RunError
+from kncal.errors import InputError, RunError
 from kncal.scene import ContactChoice
 
 solver = pytest.mark.solver
@@ -139,9 +139,24 @@ def test_packings_are_kept_by_their_inputs(tmp_path: Path) -> None:
     packing(model(bed, k_n=150.0), tmp_path)
     packing(model(replace(bed, particles=replace(bed.particles, seed=7))), tmp_path)
     assert len(list(tmp_path.glob("*.npz"))) == 3
-    file.write_bytes(file.read_bytes()[:-200])
-    with pytest.raises(ReadError, match="delete it"):
-        packing(model(bed), tmp_path)
+
+
+@solver
+@pytest.mark.parametrize("damage", ["cut", "junk", "shape", "not finite", "outside"])
+def test_a_damaged_packing_is_made_anew(tmp_path: Path, caplog: pytest.LogCaptureFixture, damage: str) -> None:
+    bed = scene(8, contact=ContactChoice(e_n=0.5))
+    first = packing(model(bed), tmp_path)
+    (file,) = tmp_path.glob("*.npz")
+    wrong = {"shape": first[:-1], "not finite": first * np.nan, "outside": first - 1.0}
+    if damage in wrong:
+        np.savez(file, positions=wrong[damage])
+    else:
+        file.write_bytes(file.read_bytes()[:-200] if damage == "cut" else b"junk")
+    assert np.array_equal(packing(model(bed), tmp_path), first)
+    assert str(file) in caplog.text
+    caplog.clear()
+    assert np.array_equal(packing(model(bed), tmp_path), first)
+    assert caplog.text == ""
 
 
 @solver

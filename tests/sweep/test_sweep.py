@@ -294,11 +294,13 @@ def test_a_folder_that_is_not_a_sweep_s_is_left_alone(case: Path, tmp_path: Path
 
 @pytest.mark.parametrize("text", ["", "{}", '{"program": "train.py", "method": "grid"}'])
 def test_a_stranger_s_design_is_not_written_over(case: Path, tmp_path: Path, text: str) -> None:
-    (tmp_path / "sweep.json").write_text(text)
-    (tmp_path / "case.toml").write_text("x")
-    with pytest.raises(InputError, match="sweep.json"):
-        swept(case, tmp_path)
-    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"sweep.json": text, "case.toml": "x"}
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (mine / "sweep.json").write_text(text)
+    (mine / "case.toml").write_text("x")
+    with pytest.raises(InputError, match=r"sweep\.json"):
+        swept(case, mine)
+    assert {path.name: path.read_text() for path in mine.iterdir()} == {"sweep.json": text, "case.toml": "x"}
 
 
 def test_a_start_that_was_killed_before_the_design_was_whole(case: Path, tmp_path: Path) -> None:
