@@ -5,8 +5,8 @@ from __future__ import annotations
 import hashlib
 import os
 import stat
+from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO
 
 from kncal.errors import ReadError
 
@@ -14,7 +14,7 @@ from kncal.errors import ReadError
 MOST_HASHED = 16 * 1024**3
 
 
-def open_limited(path: Path, most: int, expected: str, advice: str = "") -> BinaryIO:
+def open_limited(path: Path, most: int, expected: str, advice: str = "") -> BufferedReader:
     """Open a regular file of at most ``most`` bytes for reading.
 
     A device or a pipe has no size and may give bytes for ever, or none: it is refused without waiting for it.
