@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 from kncal.scene import Scene
+from kncal.species import SpeciesPair, SpeciesTable, species_of
 
 KINDS = ("linear", "hertz")
 
@@ -67,7 +69,10 @@ class Model:
     ----------
     scene : Scene
     kind : "linear" or "hertz"
-    contacts : (name, name) of two bodies, in the order of `Scene.body_pairs` -> PairContact
+    contacts : (name, name) of two bodies, in the order of `Scene.body_pairs` -> PairContact; the same for all
+        pairs of bodies of one pair of species, but for the t_c of bodies that start pressed together
+    unmet : contacts of pairs of species that no two bodies of this scene form (a species of one body with itself): a
+        deck that is used further needs them; pairs that cannot be calibrated are missing
     dt : time step [s]
     t_end : end time [s]
     n_steps : number of steps, ceil(t_end/dt)
@@ -83,6 +88,20 @@ class Model:
     n_steps: int
     record_every: int
     flight_every: int
+    unmet: Mapping[SpeciesPair, PairContact] = field(default_factory=dict)
+
+    @cached_property
+    def species(self) -> SpeciesTable:
+        """The species of the scene's bodies."""
+        return species_of(self.scene)
+
+    @cached_property
+    def by_species(self) -> Mapping[SpeciesPair, PairContact]:
+        """The contacts by pair of species, of the pairs that bodies of the scene form."""
+        found: dict[SpeciesPair, PairContact] = {}
+        for names, contact in self.contacts.items():
+            found.setdefault(self.species.pair_of(names), contact)
+        return found
 
     def without_friction(self) -> Model:
         """Return the same model with smooth contacts: its normal motion is that of a sphere on a wall with friction."""

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
 
 from kncal.ballistics import first_touch, initial_overlap
-from kncal.errors import CaseFileError
+from kncal.errors import CaseFileError, ValidityError
 from kncal.material import Pair, pair, wall_pair
 from kncal.model import KINDS, Model, PairContact
 from kncal.needs import Needs, decide
 from kncal.pair_contact import PairNumbers, Rest, numbers_of, pair_contact, smooth
 from kncal.scene import Particle, Scene, Wall
 from kncal.scene_limits import require_possible_scene
+from kncal.species import SpeciesPair, species_of
 
 #: More steps than this are refused before the run rather than after a day.
 MOST_STEPS = 500_000_000
@@ -113,16 +115,29 @@ def _model(scene: Scene, kind: str, needs: Needs) -> Model:
             speeds.append(first_impact_speed(scene))
         return speeds[0]
 
-    known: dict[tuple[object, ...], PairContact] = {}
-    contacts = {(a.name, b.name): _contact(scene, a, b, kind, first_speed, known) for a, b in scene.body_pairs()}
+    species = species_of(scene)
     uses = {name: needs.uses(name) for name in ("tangential", "rolling")}
-    contacts = {names: smooth(c, **uses) for names, c in contacts.items()}
+
+    def made(a: Particle, b: Particle | Wall, overlap: float) -> PairContact:
+        return smooth(_contact(scene, a, b, kind, first_speed, overlap), **uses)
+
+    known: dict[tuple[SpeciesPair, float], PairContact] = {}
+    contacts = {}
+    for a, b in scene.body_pairs():
+        names = (a.name, b.name)
+        key = (species.pair_of(names), max(initial_overlap(a, b), 0.0))  # of a gap nothing depends
+        contacts[names] = known[key] if key in known else known.setdefault(key, made(a, b, key[1]))
+    unmet = {}
+    for which in set(species.pairs()) - {which for which, _ in known}:
+        with suppress(CaseFileError, ValidityError):  # nobody asked for it; a deck says what it lacks
+            unmet[which] = made(*species.bodies(which), 0.0)
     shortest = min(c.t_c for c in contacts.values())
     dt = scene.run.dt if scene.run.dt is not None else shortest / scene.run.steps_per_contact
     return Model(
         scene=scene,
         kind=kind,
         contacts=contacts,
+        unmet=unmet,
         dt=dt,
         t_end=math.nan,
         n_steps=0,
@@ -150,16 +165,10 @@ def _contact(
     b: Particle | Wall,
     kind: str,
     first_speed: Callable[[Scene], float | None],
-    known: dict[tuple[object, ...], PairContact],
+    overlap: float,
 ) -> PairContact:
-    """Return the contact of two bodies; like ones are made once (n spheres have n² pairs) and kept in ``known``."""
-    other = None if isinstance(b, Wall) else b.radius
-    overlap = max(initial_overlap(a, b), 0.0)  # of a gap nothing depends
-    numbers = pair_choice(scene, a, b, first_speed)
-    key = (a.material, a.radius, b.material, other, overlap, numbers)
-    if key not in known:
-        both = pair_of(a, b)
-        rest = Rest(overlap, float(both.m_eff) * float(np.linalg.norm(scene.gravity)))
-        names = f"{a.name!r} and {b.name!r}"
-        known[key] = pair_contact(scene.contact, both, numbers, kind, rest, scene=scene.name, names=names)
-    return known[key]
+    """Return the contact of two bodies, which stand for their species; ``overlap`` [m]: at t = 0."""
+    both, numbers = pair_of(a, b), pair_choice(scene, a, b, first_speed)
+    rest = Rest(overlap, float(both.m_eff) * float(np.linalg.norm(scene.gravity)))
+    names = f"{a.name!r} and {b.name!r}"
+    return pair_contact(scene.contact, both, numbers, kind, rest, scene=scene.name, names=names)

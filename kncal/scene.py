@@ -184,8 +184,9 @@ class Scene:
 
     def choice_for(self, a: Particle, b: Particle | Wall) -> PairChoice | None:
         """Return the first exception of the case that names both bodies (or their materials), or None."""
-        return self.contact.exception(_names(a), _names(b))
+        return self.contact.exception(names_of(a), names_of(b))
 
 
-def _names(body: Particle | Wall) -> tuple[str, str]:
+def names_of(body: Particle | Wall) -> tuple[str, str]:
+    """Return the names that an exception of the case knows a body by: its own, and its material's."""
     return body.name, "rigid" if body.material is None else body.material.name

@@ -14,9 +14,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from kncal import calibrate
 from kncal.engines.liggghts import Liggghts
-from kncal.errors import InputError, RenderError
-from kncal.material import Material
+from kncal.errors import InputError, RenderError, ValidityError
+from kncal.material import Material, pair
 from kncal.model import Model
 from kncal.planning import plan
 from kncal.resources import folder as shipped_folder
@@ -91,14 +92,49 @@ def test_same_material_and_radius_share_a_type(tmp_path: Path) -> None:
     assert table(deck, "kn").shape == (1, 1)
 
 
-def test_bodies_get_types_of_their_own_where_pairs_differ(tmp_path: Path) -> None:
-    beads = [bead(f"b{i}", 1.05e-3 + 3e-3 * i) for i in range(3)]
+def test_an_exception_makes_a_type_of_its_own(tmp_path: Path) -> None:
+    beads = [bead(f"b{i}", 1.05e-3 + 3e-3 * i) for i in range(5)]
     choice = PairChoice(between=("b0", "b2"), e_n=0.4)
     model = plan(scene(*beads, pairs=(choice,)), ["linear"])["linear"]
     gamman = table(rendered(model, tmp_path), "gamman_abs")
+    assert gamman.shape == (3, 3)  # b0, b2, and the others
     assert gamman[0, 2] == model.contacts["b0", "b2"].c
     assert gamman[0, 1] == model.contacts["b0", "b1"].c
     assert gamman[0, 2] > gamman[0, 1]
+
+
+def test_pairs_that_never_meet_have_their_own_numbers(tmp_path: Path) -> None:
+    both = scene(
+        bead("small", 5e-3),
+        bead("large", 40e-3, radius=1e-2, material=STEEL),
+        walls=(Wall(name="w", axis="x", position=0.1),),
+    )
+    deck = rendered(plan(both, ["linear"])["linear"], tmp_path)
+    kn, gamman = table(deck, "kn"), table(deck, "gamman_abs")
+    for k, (material, radius) in enumerate(((GLASS, 1e-3), (STEEL, 1e-2))):
+        alike = calibrate(pair(material, radius, material, radius), v_0=1.0, e_n=0.9)
+        assert kn[k, k] == pytest.approx(alike.k_n, rel=1e-12)
+        assert gamman[k, k] == pytest.approx(alike.eta_n, rel=1e-12)
+    assert "NOT FOR FURTHER USE" not in deck
+
+
+def test_a_pair_that_cannot_be_calibrated_and_never_meets_is_named(tmp_path: Path) -> None:
+    # two rubber beads would overlap by more than their radius at this speed; rubber on steel does not
+    rubber = Material(young=5e5, poisson=0.25, density=2500.0, name="rubber")
+    one = scene(
+        bead("soft", 1.5e-3, material=rubber, v=(0.0, 0.0, -3.0)),
+        walls=(Wall(name="floor", axis="z", position=0.0, material=STEEL),),
+        v_0=None,
+        pairs=(PairChoice(between=("rubber", "rubber"), v_0=60.0),),
+    )
+    with pytest.raises(ValidityError):
+        calibrate(pair(rubber, 1e-3, rubber, 1e-3), v_0=60.0, e_n=0.9)
+    for kind, model in plan(one).items():
+        (tmp_path / kind).mkdir()
+        deck = rendered(model, tmp_path / kind)
+        assert [line[:39] for line in deck.splitlines() if "NOT FOR FURTHER USE" in line] == [
+            "# NOT FOR FURTHER USE: types 1 and 1 do"
+        ]
 
 
 def test_rigid_wall_leaves_the_particles_modulus(tmp_path: Path, models: dict[str, Model]) -> None:

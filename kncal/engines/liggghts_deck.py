@@ -21,11 +21,11 @@ from kncal.engines.liggghts_checks import (
     expect_same,
 )
 from kncal.engines.liggghts_schedule import schedule
-from kncal.engines.liggghts_types import AtomTypes, group, matrix
 from kncal.errors import RenderError
 from kncal.model import Model, PairContact
 from kncal.needs import decide
 from kncal.scene import Particle, Scene, Wall
+from kncal.species import SpeciesPair, SpeciesTable
 
 #: LIGGGHTS refuses a coefficientRestitution of 0.05 and below.
 LEAST_RESTITUTION = 0.05
@@ -37,6 +37,8 @@ LEAST_VELOCITY = 1e-2
 RIGID = 1e17
 
 Entry = dict[str, object]
+Names = tuple[str, str]
+Numbers = Mapping[str, float]
 
 
 def deck_context(model: Model, linear_style: str) -> dict[str, object]:
@@ -59,13 +61,6 @@ def deck_context(model: Model, linear_style: str) -> dict[str, object]:
         )
     needs = decide(scene)
     tangential, rolling = needs.uses("tangential"), needs.uses("rolling")
-    columns = _COLUMNS[style](model)
-    if tangential:
-        columns["coefficientFriction"] = {names: c.friction for names, c in model.contacts.items()}
-        check_tangential(model, style)
-    if rolling:
-        columns["coefficientRollingFriction"] = {n: c.rolling_friction for n, c in model.contacts.items()}
-    types = group(scene, columns)
     selectors = f"{style} tangential {'history' if tangential else 'off'}"
     selectors += " rolling_friction cdt" if rolling else ""
     switches = " ".join(
@@ -77,11 +72,11 @@ def deck_context(model: Model, linear_style: str) -> dict[str, object]:
         )
         if wanted
     )
+    types = model.species
+    tables, lacking = pair_tables(model, style, tangential=tangential, rolling=rolling)
     elastic = _elastic(scene, types) if style != "hooke/stiffness" else []
     moduli = [value for entry in elastic if entry["name"] == "youngsModulus" for value in entry["rows"][0]]  # type: ignore[index]
-    properties = elastic + [
-        _property(name, "peratomtypepair", matrix(types, column)) for name, column in columns.items()
-    ]
+    properties = elastic + [_property(name, "peratomtypepair", rows) for name, rows in tables.items()]
     if style == "hooke":
         properties.append(_property("characteristicVelocity", "scalar", [[_characteristic_velocity(model)]]))
     smallest = 2.0 * min(p.radius for p in scene.particles)
@@ -94,8 +89,13 @@ def deck_context(model: Model, linear_style: str) -> dict[str, object]:
         "box": _box(scene),
         "skin": smallest,
         "types": [
-            {"role": role, "bodies": list(bodies)} for role, bodies in zip(types.roles, types.bodies, strict=True)
+            {
+                "role": "particles" if isinstance(bodies[0], Particle) else "walls",
+                "bodies": [body.name for body in bodies],
+            }
+            for bodies in types.members
         ],
+        "lacking": [[i + 1, j + 1] for i, j in lacking],
         "properties": properties,
         "tangential": tangential,
         "selectors": selectors,
@@ -136,63 +136,102 @@ def _restitution(contact: PairContact, names: tuple[str, str], b: float) -> floa
     return contact.e_n if abs(e - contact.e_n) < 1e-14 else min(e, 1.0)
 
 
-def _linear_columns(model: Model) -> dict[str, Mapping[tuple[str, str], float]]:
-    for names, c in model.contacts.items():
-        expect(c.law == "linear" and c.n == 1.0, names, f"law {c.law!r} in a linear model", "law 'linear'")
-    contacts = model.contacts.items()
-    tangential = decide(model.scene).uses("tangential")
-    return {
-        "kn": {names: c.k for names, c in contacts},
-        "kt": {names: c.k_t if tangential else 0.0 for names, c in contacts},
-        "gamman_abs": {names: c.c for names, c in contacts},
-        "gammat_abs": {names: 0.0 for names in model.contacts},
-    }
+def _linear_numbers(scene: Scene, names: Names, c: PairContact, V: float) -> Numbers:
+    expect(c.law == "linear" and c.n == 1.0, names, f"law {c.law!r} in a linear model", "law 'linear'")
+    return {"kn": c.k, "kt": c.k_t, "gamman_abs": c.c, "gammat_abs": 0.0}
 
 
-def _hertz_columns(model: Model) -> dict[str, Mapping[tuple[str, str], float]]:
-    for names, c in model.contacts.items():
-        damped_as_tsuji = c.law == "tsuji" and (c.p == 0.25 or c.c == 0.0)
-        if not (damped_as_tsuji or (c.law == "hertz" and c.c == 0.0)) or c.n != 1.5:
-            raise RenderError(
-                f"pair {names[0]}, {names[1]}: LIGGGHTS has no {c.law!r} law (its hertz model is 'tsuji', or "
-                "'hertz' without damping): run the hertz model with the builtin engine"
-            )
-        check_elastic(model.scene, names, c)
-        expect_same(
-            names,
-            "k",
-            c.k,
-            4.0 / 3.0 * c.E_eff * math.sqrt(c.R_eff),
-            "Hertz stiffness (4/3) E_eff sqrt(R_eff)",
-        )
-    restitution = {names: tsuji_restitution(c, names) for names, c in model.contacts.items()}
-    return {"coefficientRestitution": restitution}
-
-
-def _hooke_columns(model: Model) -> dict[str, Mapping[tuple[str, str], float]]:
-    if model.scene.contact.method != "strain_energy":
+def _hertz_numbers(scene: Scene, names: Names, c: PairContact, V: float) -> Numbers:
+    damped_as_tsuji = c.law == "tsuji" and (c.p == 0.25 or c.c == 0.0)
+    if not (damped_as_tsuji or (c.law == "hertz" and c.c == 0.0)) or c.n != 1.5:
         raise RenderError(
-            f"{model.scene.name}: LIGGGHTS' hooke model finds k_n by strain energy, the case asks for "
-            f"{model.scene.contact.method!r}: expected contact.method = 'strain_energy', or the "
+            f"pair {names[0]}, {names[1]}: LIGGGHTS has no {c.law!r} law (its hertz model is 'tsuji', or "
+            "'hertz' without damping): run the hertz model with the builtin engine"
+        )
+    check_elastic(scene, names, c)
+    k_h = 4.0 / 3.0 * c.E_eff * math.sqrt(c.R_eff)
+    expect_same(names, "k", c.k, k_h, "Hertz stiffness (4/3) E_eff sqrt(R_eff)")
+    return {"coefficientRestitution": tsuji_restitution(c, names)}
+
+
+def _hooke_numbers(scene: Scene, names: Names, c: PairContact, V: float) -> Numbers:
+    if scene.contact.method != "strain_energy":
+        raise RenderError(
+            f"{scene.name}: LIGGGHTS' hooke model finds k_n by strain energy, the case asks for "
+            f"{scene.contact.method!r}: expected contact.method = 'strain_energy', or the "
             "hooke/stiffness style"
         )
-    V = _characteristic_velocity(model)
-    restitution = {}
-    for names, c in model.contacts.items():
-        expect(c.law == "linear" and c.n == 1.0, names, f"law {c.law!r} in a linear model", "law 'linear'")
-        check_elastic(model.scene, names, c)
-        stiff = math.sqrt(c.R_eff) * c.E_eff
-        k = 16.0 / 15.0 * stiff * (15.0 * c.m_eff * V**2 / (16.0 * stiff)) ** 0.2
-        expect_same(names, "k", c.k, k, "stiffness that LIGGGHTS' hooke model will take")
-        restitution[names] = _restitution(c, names, c.c / (2.0 * math.sqrt(c.m_eff * c.k)))
-    return {"coefficientRestitution": restitution}
+    expect(c.law == "linear" and c.n == 1.0, names, f"law {c.law!r} in a linear model", "law 'linear'")
+    check_elastic(scene, names, c)
+    stiff = math.sqrt(c.R_eff) * c.E_eff
+    k = 16.0 / 15.0 * stiff * (15.0 * c.m_eff * V**2 / (16.0 * stiff)) ** 0.2
+    expect_same(names, "k", c.k, k, "stiffness that LIGGGHTS' hooke model will take")
+    return {"coefficientRestitution": _restitution(c, names, c.c / (2.0 * math.sqrt(c.m_eff * c.k)))}
 
 
-_COLUMNS: dict[str, Callable[[Model], dict[str, Mapping[tuple[str, str], float]]]] = {
-    "hooke/stiffness": _linear_columns,
-    "hertz": _hertz_columns,
-    "hooke": _hooke_columns,
+_NUMBERS: dict[str, Callable[[Scene, Names, PairContact, float], Numbers]] = {
+    "hooke/stiffness": _linear_numbers,
+    "hertz": _hertz_numbers,
+    "hooke": _hooke_numbers,
 }
+
+
+def pair_tables(
+    model: Model, style: str, *, tangential: bool, rolling: bool
+) -> tuple[dict[str, list[list[float]]], list[SpeciesPair]]:
+    """Return the table of each property by pairs of types, and the pairs of types that have no contact of their own.
+
+    Every pair that the contacts of the scene or `Model.unmet` know gets its own numbers. Two walls never touch; they
+    and the pairs that are returned (they cannot be calibrated, or LIGGGHTS cannot do them; in this scene they do not
+    meet) repeat the largest number of the others, since LIGGGHTS wants one for every pair of types.
+
+    Raises
+    ------
+    RenderError
+        If LIGGGHTS cannot simulate a contact of the scene, or two contacts of one pair of types differ.
+    """
+    types = model.species
+    V = _characteristic_velocity(model) if style == "hooke" else math.nan
+
+    def numbers(names: Names, c: PairContact) -> Numbers:
+        found = dict(_NUMBERS[style](model.scene, names, c, V))
+        if tangential:
+            check_tangential(names, c, style)
+            found["coefficientFriction"] = c.friction
+        elif "kt" in found:
+            found["kt"] = 0.0
+        if rolling:
+            found["coefficientRollingFriction"] = c.rolling_friction
+        return found
+
+    known: dict[SpeciesPair, tuple[PairContact, Numbers]] = {}
+    for names, contact in model.contacts.items():
+        which = types.pair_of(names)
+        if which not in known:
+            known[which] = contact, numbers(names, contact)
+        elif contact is not known[which][0]:
+            for name, value in numbers(names, contact).items():
+                first = known[which][1][name]
+                # the same pair the other way round may differ in the last digit
+                same = math.isclose(value, first, rel_tol=1e-14)
+                expect(same, names, f"{name} = {value!r}", f"{first!r}, as {types.label(which)} has it: bodies alike")
+    lacking = []
+    for which in types.pairs():
+        if which not in known:
+            one, other = types.bodies(which)
+            try:
+                contact = model.unmet[which]
+                known[which] = contact, numbers((one.name, other.name), contact)
+            except (KeyError, RenderError):
+                lacking.append(which)
+    expect(bool(known), model.scene.name, "no contact to take numbers from", "a second particle, a wall or contact.v_0")
+    size = len(types.members)
+    tables = {}
+    for name in next(iter(known.values()))[1]:
+        column = {which: found[name] for which, (_, found) in known.items()}
+        filler = max(column.values())
+        tables[name] = [[column.get((min(i, j), max(i, j)), filler) for j in range(size)] for i in range(size)]
+    return tables, lacking
 
 
 def _characteristic_velocity(model: Model) -> float:
@@ -207,10 +246,11 @@ def _characteristic_velocity(model: Model) -> float:
     return V
 
 
-def _elastic(scene: Scene, types: AtomTypes) -> list[Entry]:
+def _elastic(scene: Scene, types: SpeciesTable) -> list[Entry]:
     rigid = RIGID * max(float(p.material.young) for p in scene.particles)
-    young = [rigid if m is None else float(m.young) for m in types.materials]
-    poisson = [0.0 if m is None else float(m.poisson) for m in types.materials]
+    materials = [bodies[0].material for bodies in types.members]
+    young = [rigid if m is None else float(m.young) for m in materials]
+    poisson = [0.0 if m is None else float(m.poisson) for m in materials]
     return [
         _property("youngsModulus", "peratomtype", [young]),
         _property("poissonsRatio", "peratomtype", [poisson]),
@@ -235,7 +275,7 @@ def _property(name: str, per: str, rows: list[list[float]]) -> Entry:
     return {"name": name, "per": per, "rows": rows, "comment": _COMMENTS[name]}
 
 
-def _particle(particle: Particle, types: AtomTypes) -> Entry:
+def _particle(particle: Particle, types: SpeciesTable) -> Entry:
     return {
         "name": particle.name,
         "type": types.index[particle.name] + 1,
@@ -247,7 +287,7 @@ def _particle(particle: Particle, types: AtomTypes) -> Entry:
     }
 
 
-def _wall(wall: Wall, types: AtomTypes) -> Entry:
+def _wall(wall: Wall, types: SpeciesTable) -> Entry:
     return {
         "name": wall.name,
         "type": types.index[wall.name] + 1,
