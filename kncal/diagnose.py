@@ -7,7 +7,6 @@ left a whole dump of finite numbers.
 
 from __future__ import annotations
 
-import shutil
 import signal
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kncal.disk import blame
 from kncal.errors import ReadError
 from kncal.io.liggghts_dump import read_dump
 from kncal.io.liggghts_log import END_MARKER, LiggghtsLog, read_log
@@ -40,8 +40,6 @@ CODES = (
     "not-finite",
     "disk-full",
 )
-
-_FULL_DISK = 1 << 16  # bytes left below which the disk is called full
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,13 +100,13 @@ def diagnose_liggghts(
     """
     evidence = _Evidence(process, log_path, dump_path, expected_steps, expected_atoms)
     try:
-        for check in _CHECKS:
-            diagnosis = check(evidence)
-            if diagnosis is not None:
-                return diagnosis
+        found = next((diagnosis for check in _CHECKS if (diagnosis := check(evidence)) is not None), None)
     except ReadError as error:  # of the log: the checks of the dump handle their own
-        return Diagnosis(code="empty-output", message=f"LIGGGHTS left no readable log: {error}")
-    return None
+        found = Diagnosis(code="empty-output", message=f"LIGGGHTS left no readable log: {error}")
+    if found is None:
+        return None
+    code, message = blame(found.code, found.message, dump_path.parent)
+    return Diagnosis(code=code, message=message)
 
 
 def _not_installed(run: _Evidence) -> Diagnosis | None:
@@ -181,16 +179,12 @@ def _killed(run: _Evidence) -> Diagnosis | None:
 def _no_end_marker(run: _Evidence) -> Diagnosis | None:
     if run.log.finished:
         return None
-    code = "no-end-marker"
-    if _disk_is_full(run.log_path.parent):
-        code = "disk-full"
-        why = f"the disk of {run.log_path.parent} is full: make room and run again"
-    elif run.log.last_step is None:
+    if run.log.last_step is None:
         why = "is the deck empty, or does it not end with that print?"
     else:
         why = "was it ended by a signal from elsewhere (scancel, kill)? LIGGGHTS then exits with 0"
     return Diagnosis(
-        code=code,
+        code="no-end-marker",
         message=f"LIGGGHTS stopped early, {run.reached()}: its log has no line {END_MARKER!r}; {why}; "
         f"last lines: {_tail(run)}; log: {run.log_path}",
     )
@@ -220,8 +214,6 @@ def _dump(run: _Evidence) -> Diagnosis | None:
     try:
         table = run.dump
     except ReadError as error:
-        if _disk_is_full(run.dump_path.parent):
-            return Diagnosis(code="disk-full", message=f"{error}; the disk is full")
         empty = not run.dump_path.is_file() or run.dump_path.stat().st_size == 0
         return Diagnosis(code="empty-output" if empty else "truncated-output", message=str(error))
     if table.empty:
@@ -273,7 +265,3 @@ _CHECKS: tuple[_Check, ...] = (
 def _tail(run: _Evidence) -> str:
     lines = [line for line in run.process.last_lines if line.strip()][-3:]
     return " | ".join(lines) if lines else "(no output)"
-
-
-def _disk_is_full(folder: Path) -> bool:
-    return folder.is_dir() and shutil.disk_usage(folder).free < _FULL_DISK

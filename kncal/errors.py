@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import errno
+from kncal.disk import FULL
 
 
 class KncalError(Exception):
@@ -47,10 +47,15 @@ class SolverMissingError(RunError):
 
 def failure_of(error: BaseException) -> str:
     """Return what kind of failure an error is, one of `kncal.engines.base.FAILURES`."""
+    cause: BaseException | None = error
+    while cause is not None:  # an error that was put into words keeps the one that it is about
+        if isinstance(cause, OSError) and cause.errno in FULL:
+            return "disk-full"
+        cause = cause.__cause__
     if isinstance(error, RunError):
         return error.failure
     if isinstance(error, OSError):
-        return "disk-full" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "solver-error"
+        return "solver-error"
     if isinstance(error, ReadError):
         return "truncated-output"
     return "bad-input" if isinstance(error, KncalError) else "solver-error"

@@ -14,7 +14,6 @@ import hashlib
 import os
 import platform
 import shutil
-import socket
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -254,12 +253,6 @@ def write_model_manifest(
     write_json(folder / MANIFEST, data)
 
 
-def write_started(folder: Path) -> None:
-    """Write ``started.json`` of one model's folder: a run began; what is no longer true goes."""
-    (folder / RESULT).unlink(missing_ok=True)
-    write_json(folder / STARTED, {"pid": os.getpid(), "host": socket.gethostname(), "started": _now()})
-
-
 def write_result(result: RunResult) -> None:
     """Write ``result.json`` beside the run's output (temporary file, fsync, rename), with what ties the output to it.
 
@@ -277,7 +270,8 @@ def write_result(result: RunResult) -> None:
         files = {path.relative_to(result.folder).as_posix(): sha256(path, sys.maxsize) for path in output}
         write_json(result.folder / RESULT, data | {"files_sha256": files, "ended": _now()})
     except OSError as error:
-        raise RunError(f"{result.folder / RESULT}: cannot be written ({error.strerror or error})") from error
+        text = f"{result.folder / RESULT}: cannot be written ({error.strerror or error})"
+        raise RunError(text + (f"; the run had failed: {result.message}" if result.failure else "")) from error
     except ReadError as error:
         raise RunError(str(error), failure_of(error)) from error
 

@@ -59,11 +59,13 @@ class CaseManifest(Record):
 
 
 class Started(Record):
-    """``started.json`` of a model's folder: who began the run."""
+    """``started.json`` of a model's folder: who began the run, and what it died of if that found no better place."""
 
     pid: Annotated[int, Field(ge=1, le=2**31)]
     host: str
     started: str
+    failure: str = ""
+    message: str = ""
 
 
 class Extra(Record):

@@ -12,7 +12,8 @@ from kncal.errors import ReadError
 from kncal.folder import read_result
 from kncal.lock import LOCK
 from kncal.model import KINDS
-from kncal.records import ATTEMPT, MANIFEST, RESULT, STARTED, Started, read_record
+from kncal.records import ATTEMPT, MANIFEST, RESULT, STARTED
+from kncal.started import end_without_result
 
 #: Every state of a run.
 STATES = ("rendered", "running", "completed", "timed_out", "interrupted", "not_installed", "failed")
@@ -94,12 +95,7 @@ def run_state(folder: Path) -> RunState:
         return _state(folder, "rendered", "", "", owner)
     if owner:
         return _state(folder, "running", "", "", owner)
-    try:
-        record = read_record(Started, folder / STARTED)
-        who = f"process {record.pid} on {record.host[:80]}, started {record.started[:40]}"
-    except ReadError:
-        who = "an unknown process"
-    return _state(folder, "failed", "killed", f"{who}, was stopped before it could write a result", "")
+    return _state(folder, "failed", *end_without_result(folder), "")
 
 
 def case_states(out: Path) -> tuple[RunState, ...]:

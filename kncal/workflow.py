@@ -33,7 +33,6 @@ from kncal.folder import (
     read_model_folder,
     read_result,
     write_result,
-    write_started,
 )
 from kncal.io.tables import write_json
 from kncal.model import KINDS, Model
@@ -41,6 +40,7 @@ from kncal.observe import observe
 from kncal.planning import plan
 from kncal.records import MANIFEST, RESULT
 from kncal.scene import Scene
+from kncal.started import started
 
 #: Engines by name; liggghts-hooke lets LIGGGHTS find the stiffness itself (cases with method strain_energy only).
 ENGINES = ("liggghts", "builtin", "liggghts-hooke")
@@ -161,17 +161,17 @@ def run_case(
         with _rendered(scene, engine, out, kinds, anew=anew, repeat=repeat, tell=tell) as (models, kept, lock):
             results |= kept
             for kind, model in [item for item in models.items() if item[0] not in kept] * repeat:
-                write_started(out / kind)  # a result of an earlier repeat would vouch for what this one is writing
-                progress = progress_for(kind) if progress_for else None
-                try:
-                    result = engine.run(model, out / kind, timeout=timeout, progress=progress, pass_fds=(lock,))
-                except KeyboardInterrupt:
-                    result = run_result(engine.name, model, out / kind, "interrupted", message="stopped by the user")
-                samples[kind].append(result.cpu_seconds)
-                extra = {**result.extra, "cpu_samples": list(samples[kind])}
-                extra |= {"warning": profile.warning} if profile.warning else {}
-                results[kind] = replace(result, extra=extra)
-                write_result(results[kind])
+                folder, progress = out / kind, progress_for(kind) if progress_for else None
+                with started(folder):  # a result of an earlier repeat would vouch for what this one is writing
+                    try:
+                        result = engine.run(model, folder, timeout=timeout, progress=progress, pass_fds=(lock,))
+                    except KeyboardInterrupt:
+                        result = run_result(engine.name, model, folder, "interrupted", message="stopped by the user")
+                    samples[kind].append(result.cpu_seconds)
+                    extra = {**result.extra, "cpu_samples": list(samples[kind])}
+                    extra |= {"warning": profile.warning} if profile.warning else {}
+                    results[kind] = replace(result, extra=extra)
+                    write_result(results[kind])
                 if result.status != "completed":
                     break
     except OSError as error:

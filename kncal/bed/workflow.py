@@ -36,12 +36,12 @@ from kncal.folder import (
     read_model_folder,
     read_result,
     write_result,
-    write_started,
 )
 from kncal.io.tables import write_json
 from kncal.model import KINDS
 from kncal.records import MANIFEST
 from kncal.resources import cache_folder
+from kncal.started import started
 from kncal.workflow import require_completed
 
 POSITIONS = "positions.npy"
@@ -134,7 +134,6 @@ def run_bed(
                     folder.mkdir()
                     np.save(folder / POSITIONS, positions, allow_pickle=False)
                     write_json(folder / MANIFEST, manifests[kind])
-                write_started(folder)
                 progress = progress_for(kind) if progress_for else None
                 resume = earlier.action == "go on"
                 results[kind] = _run(engine, model, folder, positions, timeout, progress, resume=resume, lock=lock)
@@ -248,8 +247,11 @@ def _run(
     resume: bool,
     lock: int,
 ) -> RunResult:
-    result = engine.run(model, folder, positions, timeout=timeout, progress=progress, resume=resume, pass_fds=(lock,))
-    if result.status == "completed":
-        write_series_csv(folder / SERIES, read_series(folder / "series"))
-    write_result(result)
+    with started(folder):
+        result = engine.run(
+            model, folder, positions, timeout=timeout, progress=progress, resume=resume, pass_fds=(lock,)
+        )
+        if result.status == "completed":
+            write_series_csv(folder / SERIES, read_series(folder / "series"))
+        write_result(result)
     return result

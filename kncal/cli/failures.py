@@ -14,13 +14,14 @@ from cyclopts import CycloptsError
 
 from kncal import __version__
 from kncal.cli import show
+from kncal.disk import FULL
 from kncal.errors import InterruptedRunError, KncalError, RunError, SolverMissingError, failure_of
 
 OK, OUTSIDE, USAGE, FAILED, MISSING, UNEXPECTED, INTERRUPTED = 0, 1, 2, 3, 4, 5, 130
 #: Error -> exit code, the special before the general.
 _CODES = {SolverMissingError: MISSING, InterruptedRunError: INTERRUPTED, RunError: FAILED, KncalError: USAGE}
 #: Errors of the system that are no fault of the arguments.
-_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.EBADF)
+_DISK = (*FULL, errno.EROFS, errno.EIO, errno.EBADF)
 
 
 def end(error: BaseException, *, json: bool) -> int:
@@ -50,7 +51,7 @@ def explain(error: BaseException) -> tuple[str, str, int]:
             kind = {MISSING: "not-installed", INTERRUPTED: "interrupted"}.get(code) or failure_of(error)
             found = str(error), kind, code
         case OSError():
-            kind = "disk-full" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "not-writable"
+            kind = "disk-full" if error.errno in FULL else "not-writable"
             fault = (kind, FAILED) if error.errno in _DISK else ("bad-input", USAGE)
             found = f"{error.filename or 'output'}: {error.strerror or error}", *fault
         case UnicodeError():

@@ -12,7 +12,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from kncal.errors import ReadError
+from kncal.disk import is_full
+from kncal.errors import ReadError, RunError
 from kncal.io.files import sha256
 from kncal.io.tables import write_json
 from kncal.records import Digests, Record, Seconds, read_record
@@ -55,6 +56,8 @@ def write_checkpoint(
     for name, save in ((GAS, save_gas), (PARTICLES, save_particles)):
         if save is not None:
             save(new / name)
+    if is_full(new):  # LIGGGHTS does not look whether its file could be written
+        raise RunError(f"{new}: the disk is full, so that this checkpoint may be cut short: make room", "disk-full")
     files = [path for path in sorted(new.rglob("*")) if path.is_file()]
     for path in (*files, new / GAS, new / PARTICLES, new):
         if path.exists():

@@ -32,6 +32,7 @@ from kncal.coupling.dem_child import LIBRARY, MAX_MESSAGE, SAVED_FORCES, Shared,
 from kncal.coupling.dem_deck import DECK, RESTART, as_rows, middle, sides, write_deck
 from kncal.coupling.impacts import speed_edges
 from kncal.coupling.solver_process import receive, silent
+from kncal.disk import blame
 from kncal.errors import InputError, RunError, SolverMissingError
 from kncal.io.text import decode_line
 from kncal.runner import solver_environment
@@ -323,7 +324,8 @@ class LiggghtsDem:
         failure = "peer-died" if code < 0 else "solver-error"
         if "lost atoms" in text.lower():
             text, failure = f"particles left the column (its counts mean nothing): {text}", "lost-particles"
-        return RunError(f"LIGGGHTS {how}: {text}; log: {self._log}", failure)
+        failure, text = blame(failure, f"LIGGGHTS {how}: {text}; log: {self._log}", self._folder)
+        return RunError(text, failure)
 
     def _end(self, deadline: float) -> int:
         """Wait for the child's end until ``deadline``, then kill it; release everything. Return its exit code."""

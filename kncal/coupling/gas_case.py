@@ -16,6 +16,7 @@ from kncal.checks import Array, in_range, one_of, positive
 from kncal.coupling.base import GasSetup
 from kncal.coupling.decomposed import CWD, divisions
 from kncal.coupling.grid import Grid
+from kncal.disk import blame
 from kncal.errors import InputError, ReadError, RenderError, RunError, SolverMissingError
 from kncal.io.openfoam import fatal_error, read_cells, refuse_code, set_patch_vector
 from kncal.resources import folder as shipped_folder
@@ -177,7 +178,8 @@ def process_error(program: str, result: ProcessResult, log: Path) -> RunError:
     if result.signal == signal.SIGFPE or "sigFpe" in words:
         how += " (floating-point exception: the gas flow diverged; try a shorter gas step)"
         failure = "not-finite"
-    return RunError(f"{program} failed, {how}: {words or 'no message'}; see {log}", failure)
+    failure, text = blame(failure, f"{program} failed, {how}: {words or 'no message'}; see {log}", log.parent)
+    return RunError(text, failure)
 
 
 def check_setup(setup: GasSetup) -> None:

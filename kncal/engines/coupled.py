@@ -17,6 +17,7 @@ from kncal.coupling.base import Dem, GasTransport
 from kncal.coupling.checkpoint import GAS, PARTICLES, last_checkpoint
 from kncal.coupling.decomposed import divisions as check_divisions
 from kncal.coupling.loop import CoupledCost, CoupledRun, Progress, gas_setup
+from kncal.disk import blame
 from kncal.engines.base import Profile, RunResult
 from kncal.errors import InputError, KncalError, ReadError, RunError, SolverMissingError, failure_of
 from kncal.mpi import MISSING as NO_MPIRUN
@@ -145,7 +146,8 @@ class Coupled:
         except TimeoutError as error:
             status, message = "timed_out", str(error)
         except (KncalError, OSError) as error:
-            status, message, failure = "failed", str(error), failure_of(error)
+            status = "failed"
+            failure, message = blame(failure_of(error), str(error), folder)
         return RunResult(
             status=status,
             engine=self.name,

@@ -6,7 +6,6 @@ another machine can do it as well.
 
 from __future__ import annotations
 
-import errno
 import time
 from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -34,8 +33,6 @@ from kncal.sweep.states import UNREADABLE, read_quickly, read_state, stamps_of
 
 #: A folder that is still taken when its run starts (by a solver that is just ending) is waited for so long [s].
 PATIENCE = 15.0
-#: Errors of the system that are a full or broken disk.
-_DISK = (errno.ENOSPC, errno.EDQUOT)
 
 #: What a run returns: ``id``, ``status``, ``class``, ``message``, ``stamps`` (see `kncal.sweep.states`), ``rows``.
 Record = dict[str, Any]
@@ -258,12 +255,9 @@ _CLASSES: tuple[tuple[type[Exception], str, str], ...] = (
 def _failure(error: Exception) -> tuple[str, str, str]:
     """Return status, class and message of an error."""
     status, failure = next((status, name) for kind, status, name in _CLASSES if isinstance(error, kind))
-    if isinstance(error, RunError) and failure == "run-failed":
+    if failure_of(error) == "disk-full" or (isinstance(error, RunError) and failure == "run-failed"):
         failure = failure_of(error)
     text = str(error) or type(error).__name__
     if failure == "internal-error":
         text = f"{type(error).__name__}: {text}"
-    cause = error if isinstance(error, OSError) else error.__cause__
-    if isinstance(cause, OSError) and cause.errno in _DISK:
-        failure = "disk-full"
     return status, failure, text

@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from kncal.io.tables import write_text
-from kncal.records import RESULT
+from kncal.records import RESULT, STARTED
+from kncal.started import end_without_result
 from kncal.states import holder
 from kncal.sweep.design import RUNS, Sweep, read_design
 from kncal.sweep.rows import failure_class
@@ -105,7 +106,7 @@ def sweep_status(folder: Path) -> SweepStatus:
     for run in sweep.runs:
         out = f"{runs}/{run}"
         state = state_of(sweep, out, known.get(run)) if run in there else _unwritten(known.get(run))
-        open_end = state["status"] == UNFINISHED or (run in there and not state["stamps"])
+        open_end = state["status"] == UNFINISHED or (run in there and len(state["stamps"]) < len(sweep.models))
         if open_end and (owner := holder(Path(out))):
             state = state | {"status": RUNNING, "class": ""}
             running.append(_running(run, Path(out), owner))
@@ -160,6 +161,10 @@ def read_state(sweep: Sweep, out: Path | str, stamps: Stamps) -> dict[str, Any]:
     state = dict(unfinished)
     for kind in sweep.models:
         if kind not in stamps:
+            if Path(out, kind, STARTED).is_file():
+                failure, message = end_without_result(Path(out, kind))
+                if failure != "killed":  # that it is unfinished says it
+                    return unfinished | {"status": "failed", "class": failure, "message": message}
             return unfinished
         try:
             data = read_quickly(f"{out}/{kind}/{RESULT}")
