@@ -29,10 +29,12 @@ if TYPE_CHECKING:
     from kncal.timestep import (
         TimeStepAdvice,
         advise_time_step,
+        advised_steps,
         contact_time,
         hertz_time,
         predict_error,
         rayleigh_time,
+        smallest_restitution,
         verlet_limit,
     )
     from kncal.uncertainty import Propagation, propagate
@@ -56,10 +58,12 @@ _HOME = {
     "kncal.timestep": (
         "TimeStepAdvice",
         "advise_time_step",
+        "advised_steps",
         "contact_time",
         "hertz_time",
         "predict_error",
         "rayleigh_time",
+        "smallest_restitution",
         "verlet_limit",
     ),
     "kncal.uncertainty": ("Propagation", "propagate"),
@@ -84,6 +88,7 @@ __all__ = [
     "ValidityError",
     "__version__",
     "advise_time_step",
+    "advised_steps",
     "calibrate",
     "calibrate_matrix",
     "contact_time",
@@ -94,6 +99,7 @@ __all__ = [
     "predict_error",
     "propagate",
     "rayleigh_time",
+    "smallest_restitution",
     "verlet_limit",
     "wall_pair",
 ]

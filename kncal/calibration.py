@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from kncal.checks import Array, common_shape, in_range, instance, one_of, positive_result
 from kncal.contact.base import ContactLaw
 from kncal.contact.registry import get_law
-from kncal.impact import DimensionlessImpact, dimensionless_impact
+from kncal.impact import NO_REBOUND, DimensionlessImpact, dimensionless_impact
 from kncal.material import FloatOrArray, Pair, plain
 from kncal.methods import KAPPA_STRAIN_ENERGY, MethodInputs, get_method
 from kncal.validity import ValidityWarning, check_validity
@@ -173,7 +173,7 @@ def calibrate(
     """
     instance("pair", pair, Pair, PAIR_SOURCE)
     speed = plain(in_range("v_0", v_0, *SPEEDS, unit="m/s", hint="a resting contact: method 'static_load'"))
-    restitution = plain(in_range("e_n", e_n, 0.0, 1.0, low_open=True))
+    restitution = plain(in_range("e_n", e_n, 0.0, 1.0, low_open=True, hint=NO_REBOUND))
     one_of("end", end, ENDS)
     chosen = get_method(method)
     options = chosen.options(method_options)

@@ -116,7 +116,7 @@ def parse_case(text: str, *, name: str, where: str = "case", tables: Mapping[str
     try:
         case = CaseTable.model_validate(tables)
     except ValidationError as error:
-        raise refusal(where, text, [fault(e) for e in error.errors(include_url=False)]) from None
+        raise refusal(where, text, [fault(e, tables) for e in error.errors(include_url=False)]) from None
     if faults := problems(case):
         raise refusal(where, text, [placed(path, message) for path, message in faults])
     return _scene(case, name)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
 
 from kncal.case_schema import CaseTable, Root, description, table_at
 from kncal.errors import CaseFileError
@@ -26,8 +26,8 @@ _KEYS = rf"{_PART}(?:\s*\.\s*{_PART})*"
 _LINE = re.compile(rf"\s*(?:\[\[\s*(?P<many>{_KEYS})\s*\]\]|\[\s*(?P<one>{_KEYS})\s*\]|(?P<key>{_KEYS})\s*=)")
 
 
-def fault(error: ErrorDetails, root: type[Root] = CaseTable) -> Fault:
-    """Turn one of pydantic's findings in a file of the form ``root`` into (path, message)."""
+def fault(error: ErrorDetails, tables: Mapping[str, Any], root: type[Root] = CaseTable) -> Fault:
+    """Turn one of pydantic's findings in ``tables``, of a file of the form ``root``, into (path, message)."""
     path = tuple(part for part in error["loc"] if part not in ("float", "str", "function-after[_option(), float]"))
     kind, meaning = error["type"], description(path, root)
     value = f"{_shown(path)} = {short(error['input'])}"
@@ -40,7 +40,21 @@ def fault(error: ErrorDetails, root: type[Root] = CaseTable) -> Fault:
         return path[:-1], f"{_shown(path[:-2])}: key {short(path[-2])}: {_cause(error)}"
     if kind in _EXPECTED:
         return path, f"{value}: expected {_EXPECTED[kind]}{about}"
+    if path and path[-1] == "e_n" and error["input"] == 0:
+        return path, f"{value}: {_cause(error)}; {_no_rebound(tables)}"
     return path, f"{value}: {_cause(error)}"
+
+
+def _no_rebound(tables: Mapping[str, Any]) -> str:
+    """What to do about e_n = 0 at the step of the case, as far as what it says of it is valid."""
+    from kncal.contact.registry import LAWS
+    from kncal.timestep import USUAL_STEPS, instead_of_zero
+
+    contact, run = (t if isinstance(t := tables.get(name), Mapping) else {} for name in ("contact", "run"))
+    law, end, n = contact.get("law", "tsuji"), contact.get("end", "overlap"), run.get("steps_per_contact", USUAL_STEPS)
+    usable = isinstance(n, int | float) and 4.0 <= n <= 1e6
+    laws = ("linear", law) if isinstance(law, str) and law in LAWS else ("linear",)
+    return instead_of_zero(float(n) if usable else USUAL_STEPS, laws, "force" if end == "force" else "overlap")
 
 
 #: pydantic's error types in plain words.

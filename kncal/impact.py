@@ -17,6 +17,12 @@ from kncal.contact.registry import get_law
 from kncal.errors import InputError
 from kncal.material import FloatOrArray, plain
 
+#: What an e_n out of range is told.
+NO_REBOUND = (
+    "a restitution is rebound speed over impact speed; e_n = 0 has no finite solution: take the smallest that N steps "
+    "per contact resolve, kncal.smallest_restitution(N)"
+)
+
 
 @dataclass(frozen=True, eq=False)
 class DimensionlessImpact:
@@ -103,8 +109,7 @@ def impact_path(law: str | ContactLaw, e_n: float, end: str = "overlap", n: int 
 
 
 def _restitution(law: ContactLaw, e_n: ArrayLike, end: str) -> Array:
-    hint = "a restitution is rebound speed over impact speed; e_n = 0 has no finite solution"
-    e = in_range("e_n", e_n, 0.0, 1.0, low_open=True, hint=hint)
+    e = in_range("e_n", e_n, 0.0, 1.0, low_open=True, hint=NO_REBOUND)
     lowest = law.e_min(end)
     hint = f"the smallest supported e_n of law {law.name!r} with end {end!r} is {lowest:g}"
     return in_range("e_n", e, lowest, 1.0, hint=hint)

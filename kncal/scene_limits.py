@@ -10,17 +10,14 @@ import math
 from collections.abc import Iterator, Mapping
 
 from kncal.ballistics import first_touch, initial_overlap
-from kncal.contact.registry import get_law
-from kncal.errors import InputError
 from kncal.finding import Finding, require_possible
 from kncal.material import sphere_mass
 from kncal.model import Model, PairContact
 from kncal.scene import AXES, Particle, Wall
-from kncal.timestep import predict_error, verlet_limit
+from kncal.step_error import step_error
+from kncal.timestep import verlet_limit
 from kncal.validity import OVERLAP_DOUBTFUL, OVERLAP_MEANINGLESS
 
-#: A time step that makes e_n this much wrong is worth a word; the same share as `kncal stability` calls wrong.
-RESTITUTION_OFF = 0.05
 #: Overlap at the start over the smaller radius that is worth a word; a stack squeezed on purpose starts with 0.2.
 START_LARGE = 0.25
 #: Most bodies that touch one sphere at once: its nearest neighbours in the densest packing of equal spheres.
@@ -141,7 +138,9 @@ def _resting(model: Model) -> Iterator[Finding]:
 def _steps(model: Model) -> Iterator[Finding]:
     bodies = len(model.scene.bodies)
     most = float(min(max(bodies - 1, 1), MOST_CONTACTS))
-    worst: tuple[float, Finding] | None = None
+    shortest = min(c.t_c for c in model.contacts.values())
+    # a step that is not stable is worse than a coarse one: one is enough, the step is one for all pairs
+    worst: tuple[bool, float, Finding] | None = None
     for (a, b), contact, who, _ in _pairs(model):
         delta = max(contact.delta_max or 0.0, initial_overlap(a, b))
         if delta <= 0.0 and contact.n != 1.0:
@@ -149,44 +148,22 @@ def _steps(model: Model) -> Iterator[Finding]:
         stiffness = contact.n * contact.k * delta ** (contact.n - 1.0) if contact.n != 1.0 else contact.k
         damping = contact.c * delta**contact.p if contact.p else contact.c
         one, many = (float(verlet_limit(stiffness, contact.m_eff, damping, z)) for z in (1.0, most))
-        finding = None
+        found: tuple[bool, float, Finding] | None = None
         if model.dt >= one:
-            finding = Finding(
-                "dt-unstable",
-                "warn",
+            text = (
                 f"{who}: dt = {model.dt:.3g} s is {model.dt / one:.3g} of the largest stable step of one contact: "
-                f"energy will be created, the result is wrong: expected at most {0.1 * one:.2g} s",
+                f"energy will be created, the result is wrong: expected at most {0.1 * one:.2g} s"
             )
+            found = True, model.dt / one, Finding("dt-unstable", "warn", text)
         elif model.dt >= many:
-            finding = Finding(
-                "dt-unstable",
-                "warn",
+            text = (
                 f"{who}: dt = {model.dt:.3g} s is {model.dt / many:.3g} of the largest step that is stable for sure "
-                f"with {most:g} contacts at once: expected at most {0.5 * many:.2g} s where so many touch",
+                f"with {most:g} contacts at once: expected at most {0.5 * many:.2g} s where so many touch"
             )
-        elif (off := _error(contact, contact.t_c / model.dt)) > RESTITUTION_OFF:
-            finding = Finding(
-                "dt-coarse",
-                "warn",
-                f"{who}: {contact.t_c / model.dt:.3g} steps per contact make e_n wrong by up to {100.0 * off:.2g} %: "
-                "expected more run.steps_per_contact (50 is usual), or a smaller run.dt",
-            )
-        if finding is not None and (worst is None or model.dt / one > worst[0]):
-            worst = (model.dt / one, finding)
+            found = True, model.dt / one, Finding("dt-unstable", "warn", text)
+        elif (coarse := step_error(contact, model.dt, shortest)) is not None:
+            found = False, coarse.error, Finding("dt-coarse", "warn", f"{who}: {coarse}")
+        if found is not None and (worst is None or found[:2] > worst[:2]):
+            worst = found
     if worst is not None:
-        yield worst[1]  # one is enough: the step is one for all pairs
-
-
-def _error(contact: PairContact, steps: float) -> float:
-    if get_law(contact.law).damping_exponent is None and contact.law not in ("linear", "hertz"):
-        return 0.0  # a law with a history has no prediction
-    if steps < 3.0:
-        return 1.0
-    if steps > 1000.0:
-        return 0.0  # below a tenth of a per cent even for e_n = 0.05; not worth the time to predict
-    try:
-        # rounded, so that the points of a sweep share most predictions
-        e_n, steps = float(f"{contact.e_n:.2g}"), float(f"{steps:.3g}")
-        return float(predict_error(contact.law, e_n, steps, contact.end).worst["e_n"])
-    except InputError:  # the discrete contact does not end
-        return 1.0
+        yield worst[2]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import math
+from bisect import bisect_left
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from types import MappingProxyType
@@ -20,6 +22,18 @@ from kncal.impact import dimensionless_impact
 from kncal.material import FloatOrArray, Material, Pair, checked_radius, plain
 from kncal.measure import measure_contact
 
+#: Steps per contact that are usual; fewer are advised nowhere.
+USUAL_STEPS = 50.0
+#: Largest error of e_n, over the sub-step phases of first touch, that an advised number of steps may make; a run is
+#: warned of twice that, so that nobody is sent after the last tenth of a per cent.
+ADVISED_ERROR, WARNED_ERROR = 0.01, 0.02
+#: An e_n is called resolved by a step that makes it no more wrong than this.
+RESOLVED_ERROR = 0.1
+#: Beyond so many steps an error is not predicted but taken to fall as 1/N, the order of a damped contact: the memory of
+#: a prediction grows with N.
+_MOST_PREDICTED = 1000.0
+#: Numbers of steps that are advised: of two digits.
+_LADDER = [float(digits * 10**k) for k in range(5) for digits in range(10, 100)]
 #: Sub-step phases of the first touch over which a predicted error is taken ...
 PHASES = 24
 #: ... for each of these changes of N: a contact of a scene rarely lasts a whole number of steps, and the error is a
@@ -91,6 +105,10 @@ def verlet_limit(k_n: ArrayLike, m_eff: ArrayLike, eta_n: ArrayLike = 0.0, conta
     return plain(limit)
 
 
+class DiscreteContactError(InputError):
+    """The iteration of a contact does not end: too few steps for its damping."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TimeStepAdvice:
     """A time step for the linear and for the reference contact, N steps per contact duration in both.
@@ -126,9 +144,16 @@ class TimeStepAdvice:
 
 
 def advise_time_step(
-    calibration: Calibration, steps_per_contact: float = 50.0, contacts: float = 12.0
+    calibration: Calibration, steps_per_contact: float | None = None, contacts: float = 12.0
 ) -> TimeStepAdvice:
     """Advise dt for N steps per contact, with the same meaning of N for the linear and the reference contact.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    steps_per_contact : N; None: `USUAL_STEPS`, and more where the smallest e_n needs more to be right to
+        `ADVISED_ERROR` in both contacts (`advised_steps`)
+    contacts : contacts per particle of the stability limits
 
     Raises
     ------
@@ -136,6 +161,8 @@ def advise_time_step(
         If N is below 1 (no contact would be resolved), or N or contacts is not a single finite number.
     """
     c = instance("calibration", calibration, Calibration, "made by kncal.calibrate")
+    if steps_per_contact is None:
+        steps_per_contact = usual_steps(c.contact_law, float(np.min(c.e_n)), c.end)
     n = float(in_range("steps_per_contact", single("steps_per_contact", steps_per_contact), 1.0, 1e7))
     z = single("contacts", contacts)
     linear, linear_limit = c.t_c / n, verlet_limit(c.k_n, c.pair.m_eff, c.eta_n, z)
@@ -224,6 +251,86 @@ def predict_error(
     return _predict(contact_law, single("e_n", e_n), n, one_of("end", end, ENDS))
 
 
+def restitution_error(
+    law: str | ContactLaw, e_n: float, steps_per_contact: float = USUAL_STEPS, end: str = "overlap"
+) -> float | None:
+    """Return the largest relative error of e_n that a step makes, over the sub-step phases of first touch [-].
+
+    As `predict_error`, for any N: infinite where the discrete contact does not end or is not resolved (N below 3),
+    falling as 1/N beyond 1000 steps. None where nothing is predicted: a law with a history, or without damping where
+    e_n is below 1.
+    """
+    n = float(in_range("steps_per_contact", single("steps_per_contact", steps_per_contact), 0.0, np.inf, low_open=True))
+    contact_law, e = get_law(law), single("e_n", e_n)
+    if isinstance(contact_law, WaltonBraun) or (contact_law.damping_exponent is None and e < 1.0):
+        return None
+    if n < 3.0:
+        return float("inf")
+    impact = dimensionless_impact(contact_law, e, end)
+    coasting = float(impact.x_end / (e * impact.tau_c))  # of a force end, see `_predict`
+    few = min(n, max(_MOST_PREDICTED / (1.0 + coasting), 20.0))
+    try:
+        return predict_error(contact_law, e, few, end).worst["e_n"] * (few / n)
+    except DiscreteContactError:
+        return float("inf")
+
+
+def advised_steps(
+    law: str | ContactLaw, e_n: float, end: str = "overlap", error: float = ADVISED_ERROR
+) -> float | None:
+    """Return the N, of two digits, from which on e_n is right to ``error`` at any sub-step phase of first touch.
+
+    10 at least: with fewer, duration and overlaps mean little. None where nothing is predicted (`restitution_error`),
+    or no N below 1e6 is enough.
+    """
+    allowed = float(in_range("error", single("error", error), 1e-4, 1.0))
+
+    def found(k: int) -> float:
+        return restitution_error(law, e_n, _LADDER[k], end) or 0.0
+
+    if restitution_error(law, e_n, _LADDER[0], end) is None:
+        return None
+    # The error falls with N, about as 1/N: up by that until it is small enough, then between there and what was not.
+    failed, k = -1, 0
+    while (error_k := found(k)) > allowed:
+        failed, k = k, bisect_left(_LADDER, _LADDER[k] * min(max(error_k / allowed, 1.1), 4.0))
+        if k >= len(_LADDER):
+            return None
+    return _LADDER[bisect_left(range(k), True, lo=failed + 1, key=lambda j: found(j) <= allowed)]
+
+
+def usual_steps(law: str | ContactLaw, e_n: float, end: str = "overlap") -> float:
+    """Return the N to take for a linear and a reference contact of one e_n: `USUAL_STEPS`, or more if e_n needs it."""
+    return max(USUAL_STEPS, *(advised_steps(each, e_n, end) or 0.0 for each in ("linear", law)))
+
+
+def smallest_restitution(
+    steps_per_contact: float = USUAL_STEPS, laws: Iterable[str | ContactLaw] = ("linear",), end: str = "overlap"
+) -> float:
+    """Return the smallest e_n, of two digits, that N steps per contact get right to `RESOLVED_ERROR` for all ``laws``.
+
+    What to take in the place of e_n = 0, which no finite damping gives. 1 if there is none below.
+    """
+    ladder = [k / 1000.0 for k in range(1, 100)] + [k / 100.0 for k in range(10, 100)]
+    names = list(laws)
+
+    def resolved(e_n: float) -> bool:
+        found = (restitution_error(law, e_n, steps_per_contact, end) for law in names)
+        return all(error is None or error <= RESOLVED_ERROR for error in found)
+
+    k = bisect_left(ladder, True, key=resolved)  # the error falls as e_n grows
+    return ladder[k] if k < len(ladder) else 1.0
+
+
+def instead_of_zero(steps_per_contact: float, laws: Iterable[str | ContactLaw], end: str = "overlap") -> str:
+    """Return what to do where e_n = 0 was asked for, in words."""
+    least = smallest_restitution(steps_per_contact, laws, end)
+    return (
+        f"no finite damping lets nothing rebound; the smallest that {steps_per_contact:g} steps per contact give to "
+        f"{100.0 * RESOLVED_ERROR:g} % is e_n = {least:g}, and more steps give less"
+    )
+
+
 @lru_cache(maxsize=512)
 def _predict(law: ContactLaw, e_n: float, n: float, end: str) -> PredictedError:
     impact = dimensionless_impact(law, e_n, end)
@@ -237,7 +344,8 @@ def _predict(law: ContactLaw, e_n: float, n: float, end: str) -> PredictedError:
         "delta_mean": float(impact.x_mean * impact.tau_c + 0.5 * impact.x_end * coasting) / duration,
     }
     dt = np.repeat(float(impact.tau_c) / (n + OFFSETS), PHASES)
-    times, x, v = _verlet(law, float(impact.C), dt, n, end)
+    most = math.ceil(n * 4.0 * max(duration / float(impact.tau_c), 1.0) + 50)  # a strong damping creeps out for long
+    times, x, v = _verlet(law, float(impact.C), dt, most, end)
     measured = measure_contact(times, x, v)
     found = {
         "e_n": measured.v_out / measured.v_in,
@@ -256,18 +364,17 @@ def _predict(law: ContactLaw, e_n: float, n: float, end: str) -> PredictedError:
     )
 
 
-def _verlet(law: ContactLaw, C: float, dt: Array, n: float, end: str) -> tuple[Array, Array, Array]:
+def _verlet(law: ContactLaw, C: float, dt: Array, most: int, end: str) -> tuple[Array, Array, Array]:
     """Step all phases and offsets side by side, each with its ``dt`` (runs,), until each has separated.
 
-    Returns times, overlaps and rates, each (runs, frames).
+    Returns times, overlaps and rates, each (runs, frames); ``most``: steps after which it is given up.
     """
     # nearly the whole range from 0 to 1: the worst phase of a force that jumps at touch is at its ends
     x: Array = -np.tile(np.linspace(1e-3, 1.0 - 1e-3, PHASES), len(OFFSETS)) * dt
     v = np.ones_like(dt)
     a = np.zeros_like(dt)
-    limit = int(np.ceil(n * 4 + 50))
     xs, vs = [x - dt, x], [v, v]
-    for _ in range(limit):
+    for _ in range(most):
         half = v + 0.5 * dt * a
         x = x + dt * half
         touching = x > 0.0
@@ -282,4 +389,4 @@ def _verlet(law: ContactLaw, C: float, dt: Array, n: float, end: str) -> tuple[A
             xs.append(x + dt * v)
             vs.append(v)
             return dt[:, None] * np.arange(-1.0, len(xs) - 1.0), np.array(xs).T, np.array(vs).T
-    raise InputError(f"steps_per_contact = {n:g}: the discrete contact does not end; expected more steps per contact")
+    raise DiscreteContactError("steps_per_contact: the discrete contact does not end; expected more steps per contact")

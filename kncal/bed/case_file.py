@@ -50,7 +50,7 @@ def parse_bed(text: str, *, name: str, where: str = "case", tables: Mapping[str,
     try:
         case = BedTable.model_validate(tables)
     except ValidationError as error:
-        raise refusal(where, text, [fault(e, BedTable) for e in error.errors(include_url=False)]) from None
+        raise refusal(where, text, [fault(e, tables, BedTable) for e in error.errors(include_url=False)]) from None
     if faults := problems(case):
         raise refusal(where, text, [placed(path, message) for path, message in faults])
     return _scene(case, name)

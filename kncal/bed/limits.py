@@ -25,7 +25,8 @@ from kncal.fluidization import (
     relaxation_time,
     terminal_velocity,
 )
-from kncal.timestep import predict_error, verlet_limit
+from kncal.step_error import step_error
+from kncal.timestep import verlet_limit
 
 #: Void fraction of a settled packing of equal spheres, where no positions are given to measure it.
 EPS_SETTLED = 0.40
@@ -41,8 +42,8 @@ WAY_LARGEST, WAY_LARGE = 1.0, 0.5
 #: Overlap at the bottom of the settled bed over the diameter: the bed is lower by about half of that share, more than a
 #: softer contact is meant to cost, from the second on; at a radius (the first) it does not carry the bed.
 STATIC_LARGEST, STATIC_LARGE = 0.5, 0.05
-#: Steps per contact below which the predicted error is worth a word, and contacts per particle for the stability limit.
-STEPS_FEW, CONTACTS_DENSE = 20.0, 12.0
+#: Contacts per particle for the stability limit of the DEM step.
+CONTACTS_DENSE = 12.0
 #: Walls that a particle touches at once, in a corner.
 CORNER = 3
 
@@ -261,6 +262,7 @@ def _way(model: BedModel, gas: Gas) -> Iterator[Finding]:
 def _contact_steps(model: BedModel) -> Iterator[Finding]:
     others = model.scene.particles.count - 1
     most = min(CONTACTS_DENSE, others + CORNER)
+    shortest = min((c.t_c for c in model.contacts.values()), default=math.inf)
     for (a, b), contact in model.contacts.items():
         if a == b and not others:
             continue  # a lone particle meets none of its kind
@@ -279,14 +281,8 @@ def _contact_steps(model: BedModel) -> Iterator[Finding]:
                     "run.steps_per_contact",
                 )
                 continue
-        if steps < STEPS_FEW * (1.0 - 1e-9):
-            worst = predict_error(contact.law, contact.e_n, steps, contact.end).worst["e_n"]
-            yield Finding(
-                "dem-step",
-                "warn",
-                f"{a}–{b}: {steps:.3g} steps per contact: e_n is up to {100.0 * worst:.2g} % off by the step alone; "
-                f"expected at least {STEPS_FEW:g} run.steps_per_contact",
-            )
+        if (coarse := step_error(contact, model.dt, shortest)) is not None:
+            yield Finding("dem-step", "warn", f"{a}–{b}: {coarse}")
 
 
 def _static(model: BedModel) -> Iterator[Finding]:

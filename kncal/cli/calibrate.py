@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
@@ -49,7 +50,8 @@ def kn(
     force: Annotated[float | None, Parameter(help="resting force [N] for static_load")] = None,
     factor: Annotated[float, Parameter(help="prefactor of youngs_modulus")] = 1.0,
     steps_per_contact: Annotated[
-        float | None, Parameter(help="N of the advised time steps; default: the case's, 50 without one")
+        float | None,
+        Parameter(help="N of the advised time steps; default: the case's, else 50, more for small e_n"),
     ] = None,
     overrides: Set = None,
     from_run: FromRun = None,
@@ -115,8 +117,11 @@ def kn(
         _refuse_ignored("--uncertain, which gives the distribution of k_n alone", of_steps)
         _kn_flags_uncertain(flags, uncertain, method, options, json=json)
         return
+    from kncal.timestep import usual_steps
+
     pair, v_0, e_n = flags.pair(), flags.speed(), flags.restitution()
-    data = _kn_data(pair, v_0, e_n, flags.law, flags.end, options, steps_per_contact or 50.0)
+    steps = usual_steps(flags.law, e_n, flags.end) if steps_per_contact is None else steps_per_contact
+    data = _kn_data(pair, v_0, e_n, flags.law, flags.end, options, steps)
     own = _own(method, options)
     block = flags.matrix(method, own).liggghts()
     if json:
@@ -201,7 +206,7 @@ def _kn_case(
 ) -> None:
     contact = scene.contact
     merged = options | dict(contact.method_options)
-    steps = n or scene.run.steps_per_contact
+    steps = scene.run.steps_per_contact if n is None else n
     result: dict[str, dict[str, Any]] = {}
     for p in _pairs(scene):
         result[p.name] = {"methods": []}
@@ -270,8 +275,21 @@ def _kn_data(
         "e_n": e_n,
         "reference": reference,
         "steps_per_contact": steps,
+        "step_error": _step_errors(law, e_n, end, steps),
         "methods": rows,
     }
+
+
+def _step_errors(law: str, e_n: float, end: str, steps: float) -> dict[str, dict[str, float | None]]:
+    """Return by contact law the largest predicted error of e_n at N steps, and the N that is advised."""
+    from kncal.timestep import advised_steps, restitution_error
+
+    found: dict[str, dict[str, float | None]] = {}
+    for each in dict.fromkeys(("linear", law)):
+        error = restitution_error(each, e_n, steps, end)
+        known = error if error is not None and math.isfinite(error) else None
+        found[each] = {"e_n": known, "advised_steps_per_contact": advised_steps(each, e_n, end)}
+    return found
 
 
 def _kn_print(name: str, data: dict[str, Any]) -> None:
@@ -313,6 +331,10 @@ def _kn_print(name: str, data: dict[str, Any]) -> None:
     for message, methods in warnings.items():
         who = "all methods" if len(methods) == valid else ", ".join(methods)
         show.say(f"  {kinds[message]} ({who}): {message}")
+    for law, step in data["step_error"].items():
+        if (advised := step["advised_steps_per_contact"]) is not None:
+            off = "beyond all bounds" if step["e_n"] is None else f"up to {100.0 * step['e_n']:.2g} %"
+            show.say(f"  {law}: e_n is {off} off by the step at N = {n:g}; at most 1 % from N = {advised:g} on")
     show.say(f"  contact ends at zero {data['end']}; the paper's three methods as reconstructed\n")
 
 

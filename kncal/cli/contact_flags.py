@@ -57,7 +57,13 @@ class ContactFlags:
         return _needed("--v0", self.v0)
 
     def restitution(self) -> float:
-        """Return e_n."""
+        """Return e_n; 0 is refused with what to take instead."""
+        if self.en == 0.0:
+            from kncal.timestep import USUAL_STEPS, instead_of_zero
+
+            raise InputError(
+                f"--en = 0: expected a value in (0, 1]; {instead_of_zero(USUAL_STEPS, ('linear', self.law), self.end)}"
+            )
         return _needed("--en", self.en)
 
     def pair(self) -> Pair:
