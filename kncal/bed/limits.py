@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kncal.bed.gas_limits import added_mass, coarse_cells, fast_gas, held_drag
 from kncal.bed.load import bottom_overlaps, layers
 from kncal.bed.model import BedModel
 from kncal.bed.scene import BedScene, Gas
@@ -65,6 +66,9 @@ def check_bed(model: BedModel, positions: ArrayLike | None = None) -> tuple[Find
     if scene.gas is not None:
         eps = EPS_SETTLED if x is None else settled_voidage(scene, x)
         found += [*_jet(scene), *_cells(scene), *_courant(model, scene.gas, eps)]
+        found += coarse_cells(scene, settled_height(scene, eps), CELL_COARSE)
+        found += [*added_mass(scene, scene.gas), *fast_gas(_fastest_gas(scene, scene.gas, eps)[0])]
+        found += held_drag(model, scene.gas, largest_superficial(scene), eps, BIAS_LARGE)
         if scene.particles.count and scene.gravity > 0.0:
             found += [*_relaxation(model, scene.gas, eps), *_way(model, scene.gas)]
             if not scene.particles.frozen:

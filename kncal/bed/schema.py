@@ -25,6 +25,9 @@ MOST_CELLS = 1_000_000
 
 Length = Annotated[float, within(2e-9, 1e3, "m", "1 mm is 1e-3")]
 GasSpeed = Annotated[float, within(0.0, 1e3, "m/s")]
+#: From a gas at a thousandth of an atmosphere to mercury; from hydrogen, and a little below, to glycerine and pitch.
+GasDensity = Annotated[float, within(1e-4, 2e4, "kg/m³", "air: 1.2")]
+GasViscosity = Annotated[float, within(1e-7, 1e2, "Pa s", "air: 1.8e-5")]
 Coordinate = Annotated[float, within(0.0, 1e3, "m", "1 mm is 1e-3")]
 Time = Annotated[float, within(0.0, 1e6, "s")]
 _Row = Annotated[list[Coordinate], Field(min_length=3, max_length=3)]
@@ -68,16 +71,14 @@ class JetTable(Table):
 
     x_low: Coordinate = Field(description="lower end of the slot in x [m]")
     x_high: Coordinate = Field(description="upper end of the slot in x [m]")
-    velocity: Annotated[float, above_zero("m/s", high=1e3)] = Field(description="gas velocity in the slot [m/s]")
+    velocity: Annotated[float, within(1e-6, 1e3, "m/s")] = Field(description="gas velocity in the slot [m/s]")
 
 
 class GasTable(Table):
     """``[gas]``."""
 
-    density: Annotated[float, above_zero("kg/m³", high=1e5)] = Field(description="density [kg/m³]")
-    viscosity: Annotated[float, above_zero("Pa s", "air: 1.8e-5", high=1e3)] = Field(
-        description="dynamic viscosity [Pa s]"
-    )
+    density: GasDensity = Field(description="density [kg/m³]")
+    viscosity: GasViscosity = Field(description="dynamic viscosity [Pa s]")
     U_0: GasSpeed = Field(0.0, description="superficial gas velocity [m/s]")
     ramp: list[_Point] = Field([], max_length=MOST_RAMP, description="[time [s], superficial velocity [m/s]] points")
     jet: JetTable | None = Field(None, description="[gas.jet] with x_low, x_high, velocity")
