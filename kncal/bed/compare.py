@@ -10,6 +10,7 @@ import numpy as np
 
 from kncal.bed.cost import BedCost, bed_cost, bed_speed
 from kncal.bed.invariants import Invariant, invariants
+from kncal.bed.known import KnownAnswer, known_answers
 from kncal.bed.model import BedModel
 from kncal.bed.observe import BedObservations, observe_bed, voidage_difference
 from kncal.bed.quantities import Quantities, quantities
@@ -89,6 +90,7 @@ class BedComparison:
     observations : (linear, hertz)
     rows : one BedRow per quantity
     invariants : what must hold in each run, with its limit
+    known : each run against the answers that theory gives, where it gives any
     costs : (linear, hertz)
     speed : of the particle side, Hertz over linear
     total_speed : CPU time of all processes, Hertz over linear; None if too short to tell
@@ -99,6 +101,7 @@ class BedComparison:
     observations: tuple[BedObservations, BedObservations]
     rows: tuple[BedRow, ...]
     invariants: tuple[Invariant, ...]
+    known: tuple[KnownAnswer, ...]
     costs: tuple[BedCost, BedCost]
     speed: Speed
     total_speed: float | None
@@ -110,18 +113,21 @@ class BedComparison:
 
     @property
     def within(self) -> bool:
-        """Whether every row with a tolerance is within it for certain (True if none has one)."""
-        return all(r.verdict == "ok" for r in self.judged)
+        """Whether every row with a tolerance is within it for certain, and every known answer is met."""
+        return all(r.verdict == "ok" for r in (*self.judged, *self.known))
 
     @property
     def state(self) -> str:
-        """The verdict in a word: "outside", "undecided", "within", or "open" if no row has a tolerance."""
-        verdicts = {r.verdict for r in self.judged}
-        if not verdicts:
-            return "open"
+        """The verdict in a word: "outside", "undecided", "within", or "open" if no row has a tolerance.
+
+        A known answer that is missed, or perhaps missed, makes it "outside" or "undecided" whatever the rows say.
+        """
+        verdicts = {r.verdict for r in (*self.judged, *self.known)}
         if verdicts & {"outside", "missing"}:
             return "outside"
-        return "undecided" if "undecided" in verdicts else "within"
+        if "undecided" in verdicts:
+            return "undecided"
+        return "within" if self.judged else "open"
 
     @property
     def needed_end_time(self) -> float | None:
@@ -137,6 +143,7 @@ class BedComparison:
             (self.linear.model, self.hertz.model),
             self.rows,
             self.invariants,
+            self.known,
             self.costs,
             (self.speed, self.total_speed),
             self.observations,
@@ -162,6 +169,7 @@ class BedComparison:
             "verdict": list(self.sentences),
             "rows": [asdict(r) for r in self.rows],
             "invariants": [asdict(i) for i in self.invariants],
+            "known": [asdict(k) for k in self.known],
             "theory": {
                 data.model.kind: _theory(seen)
                 for data, seen in zip((self.linear, self.hertz), self.observations, strict=True)
@@ -225,6 +233,11 @@ def compare_beds(linear: BedRunData, hertz: BedRunData, tolerances: Mapping[str,
         observations=(seen_l.seen, seen_h.seen),
         rows=rows_between(seen_l, seen_h, limits),
         invariants=invariants((linear.series, hertz.series), (seen_l.found, seen_h.found)),
+        known=tuple(
+            answer
+            for data, run in ((linear, seen_l), (hertz, seen_h))
+            for answer in known_answers(data.model.kind, run.seen, data.model.scene.gas)
+        ),
         costs=costs,
         speed=saved,
         total_speed=total,

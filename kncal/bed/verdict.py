@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from kncal.bed.cost import BedCost
 from kncal.bed.invariants import Invariant
+from kncal.bed.known import KnownAnswer, known_sentence
 from kncal.bed.limits import COURANT_LARGE
 from kncal.bed.metrics import NOT_AVERAGED
 from kncal.bed.model import BedModel
@@ -22,18 +23,25 @@ def sentences(
     models: tuple[BedModel, BedModel],
     rows: Sequence[BedRow],
     invariants: Sequence[Invariant],
+    known: Sequence[KnownAnswer],
     costs: tuple[BedCost, BedCost],
     speed: tuple[Speed, float | None],
     observations: tuple[BedObservations, BedObservations],
 ) -> tuple[str, ...]:
     """Return the verdict as sentences: the judgement, the speed, then notes (theory, invariants, surprises, caveats).
 
+    A known answer that is missed comes first; that the models agree is a note then.
+
     Every pair of models, costs and observations is (linear, hertz).
     """
     collide = bool(models[0].contacts) and observations[0].kind not in ("frozen", "gas")
+    missed = [text for verdict in ("outside", "undecided") if (text := known_sentence(known, verdict))]
+    first, *more = [*missed, _judgement(*models, rows, "Models alike" if missed else "Within tolerance")]
     return (
-        _judgement(*models, rows),
+        first,
         _speed(costs, *speed) if collide else _no_contacts(costs, observations[0].kind),
+        *more,
+        *filter(None, (known_sentence(known, "ok"),)),
         *against_theory(observations),
         *_broken(invariants),
         *_coarse(invariants),
@@ -133,7 +141,7 @@ def difference_text(row: BedRow) -> str:
     return f"{plus_minus(100.0 * row.difference, 100.0 * (row.uncertainty or 0.0), signed=True)} %"
 
 
-def _judgement(linear: BedModel, hertz: BedModel, rows: Sequence[BedRow]) -> str:
+def _judgement(linear: BedModel, hertz: BedModel, rows: Sequence[BedRow], within: str) -> str:
     laws = ", ".join(dict.fromkeys(c.law for c in hertz.contacts.values())) or hertz.kind
     who = f"in {hertz.scene.name} the linear spring ({spring(linear)})"
     judged = [r for r in rows if r.tolerance is not None]
@@ -162,7 +170,7 @@ def _judgement(linear: BedModel, hertz: BedModel, rows: Sequence[BedRow]) -> str
     count = "the one quantity" if len(judged) == 1 else f"all {len(judged)} quantities"
     nearest = max(judged, key=_use)
     return (
-        f"Within tolerance: {who} agrees with {laws} in {count} judged; closest to its limit:"
+        f"{within}: {who} agrees with {laws} in {count} judged; closest to its limit:"
         f" {nearest.metric}, {difference_text(nearest)} where {allowed(nearest.tolerance)} is allowed."
     )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from compared_beds import run_data
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kncal.bed.compare import compare_beds
+from kncal.bed.compare import BedComparison, compare_beds
 from kncal.bed.facts import BedFacts
 from kncal.bed.metrics import BED_METRICS, KINDS_OF_BEDS, NOT_AVERAGED, why_not
 from kncal.bed.observe import observe_bed
@@ -244,6 +245,63 @@ def test_averages_of_a_ramp_are_not_judged(tmp_path: Any) -> None:
     assert "weight_closure" in names  # holds over any window, whatever the states
     write_json(tmp_path / "c.json", found.to_dict())
     assert json.loads((tmp_path / "c.json").read_text())["theory"]["hertz"]["curve"] is None
+
+
+def both(run: BedSeries, tolerances: dict[str, float], gas: Gas = GAS) -> BedComparison:
+    """A linear and a Hertz run that do the very same."""
+    made = []
+    for kind in ("linear", "hertz"):
+        data = run_data(kind, 3, bubble=False)
+        scene = replace(data.model.scene, gas=gas, run=replace(data.model.scene.run, discard=None))
+        made.append(replace(data, model=replace(data.model, scene=scene), series=run))
+    return compare_beds(*made, tolerances)
+
+
+def rises(factor: float) -> BedSeries:
+    """Ergun's bed with a pressure drop of ``factor`` times Ergun's, up to the weight."""
+    run = up_and_down(0.40, 0.42)
+    column = 1.2 * BED.gravity * BED.size[2]
+    carried = BED.weight * (1.0 - 1.2 / BED.density) / BED.floor_area
+    drops = []
+    for eps, part in ((0.40, slice(0, 1550)), (0.42, slice(1550, None))):
+        drop = factor * ergun_gradient(run.U_0[part], eps, BED.diameter, 1.2, 1.8e-5) * height(BED, eps)
+        drops.append(np.minimum(drop, carried))
+    return replace(run, p_in=np.concatenate(drops) + column)
+
+
+@pytest.mark.parametrize(
+    ("metric", "right", "wrong"),
+    [
+        ("ergun_ratio", packed((0.1, 0.3)), packed((0.1, 0.3), factor=0.812)),
+        ("ergun_ratio", packed((0.1,)), packed((0.1,), factor=1.06)),
+        ("slip", falling(0.4, 0.35), falling(0.4, 0.35, density=2200.0)),
+        ("U_mf", rises(1.0), rises(0.6)),
+    ],
+)
+def test_models_that_agree_on_a_wrong_answer_are_not_within_tolerance(
+    metric: str, right: BedSeries, wrong: BedSeries, tmp_path: Path
+) -> None:
+    """A frozen bed's gradient, a terminal velocity and U_mf have an answer; equal errors of both models cancel."""
+    good = both(right, {metric: 0.01})
+    assert (good.state, good.within) == ("within", True)
+    assert {(k.metric, k.kind, k.verdict) for k in good.known} == {(metric, kind, "ok") for kind in ("linear", "hertz")}
+    if metric == "slip":  # the same fall in the gas of a lighter particle
+        wrong = replace(wrong, facts=right.facts, momentum_z=wrong.momentum_z * right.facts.mass / wrong.facts.mass)
+    bad = both(wrong, {metric: 0.01})
+    assert bad.row(metric).verdict == "ok"
+    assert (bad.state, bad.within) == ("outside", False)
+    assert {k.verdict for k in bad.known} == {"outside"}
+    assert not any("ithin tolerance" in text for text in bad.sentences)
+    assert metric in bad.sentences[0]
+    assert both(wrong, {}).state == "outside"
+    assert both(right, {}).state == "open"
+    write_json(tmp_path / "c.json", bad.to_dict())
+    assert json.loads((tmp_path / "c.json").read_text())["known"][0]["metric"] == metric
+
+
+def test_another_drag_law_has_no_known_answer() -> None:
+    wrong = both(packed((0.1,), factor=0.8), {"ergun_ratio": 0.01}, replace(GAS, drag="PlessisMasliyah"))
+    assert (wrong.known, wrong.state) == ((), "within")
 
 
 def test_own_values_that_are_too_uncertain_are_undecided_without_an_end_time() -> None:
