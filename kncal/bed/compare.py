@@ -112,9 +112,13 @@ class BedComparison:
         return tuple(r for r in self.rows if r.tolerance is not None)
 
     @property
+    def _verdicts(self) -> set[str]:
+        return {r.verdict for r in self.judged} | {k.verdict for k in self.known}
+
+    @property
     def within(self) -> bool:
         """Whether every row with a tolerance is within it for certain, and every known answer is met."""
-        return all(r.verdict == "ok" for r in (*self.judged, *self.known))
+        return self._verdicts <= {"ok"}
 
     @property
     def state(self) -> str:
@@ -122,7 +126,7 @@ class BedComparison:
 
         A known answer that is missed, or perhaps missed, makes it "outside" or "undecided" whatever the rows say.
         """
-        verdicts = {r.verdict for r in (*self.judged, *self.known)}
+        verdicts = self._verdicts
         if verdicts & {"outside", "missing"}:
             return "outside"
         if "undecided" in verdicts:
