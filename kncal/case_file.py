@@ -25,6 +25,7 @@ from kncal.case_text import (
     shipped_cases,
     table,
 )
+from kncal.checks import short
 from kncal.errors import CaseFileError, InputError
 from kncal.scene import Particle, RunControl, Scene, Wall
 
@@ -107,7 +108,7 @@ def parse_case(text: str, *, name: str, where: str = "case", tables: Mapping[str
     from pydantic import ValidationError
 
     from kncal.case_checks import problems
-    from kncal.case_messages import fault, placed, refusal, short
+    from kncal.case_messages import fault, placed, refusal
     from kncal.case_schema import NAME, NAME_EXPECTED, CaseTable
 
     if not NAME.fullmatch(name):

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from kncal.case_schema import CaseTable, Root, description, table_at
+from kncal.checks import short
 from kncal.errors import CaseFileError
 
 if TYPE_CHECKING:
@@ -101,12 +102,6 @@ def _shown(path: Iterable[str | int]) -> str:
         else:
             text += ("." if text else "") + (part if BARE.fullmatch(part) and len(part) <= 64 else short(part))
     return text
-
-
-def short(value: object) -> str:
-    """Return a value as Python writes it, cut to 70 characters; harmless on a terminal."""
-    text = repr(value)  # escapes control characters and line separators
-    return text if len(text) <= 70 else text[:67] + "..."
 
 
 def refusal(where: str, text: str, faults: list[Fault]) -> CaseFileError:

@@ -13,7 +13,9 @@ from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from kncal.errors import CaseFileError, InputError
+from kncal.checks import short
+from kncal.errors import CaseFileError, InputError, ReadError
+from kncal.io.files import read_limited
 from kncal.material import Material
 from kncal.resources import folder
 from kncal.scene import ContactChoice
@@ -52,14 +54,20 @@ def is_bed(tables: Mapping[str, Any]) -> bool:
 def find_case(case: str | Path) -> Path:
     """Return the file that ``case`` means: a file, a folder holding a case.toml, or a shipped case's name.
 
-    What is there on disk comes before a shipped name. Raises `CaseFileError` if nothing fits.
+    What is there on disk comes before a shipped name. Raises `CaseFileError` if nothing fits, or if the file is a link
+    that leads out of its folder: a stranger's case could so have a file of the user read, and shown in an error.
     """
     given = Path(case)
     try:
-        if given.is_file():
-            return given
-        if (given / CASE).is_file():
-            return given / CASE
+        found = next((path for path in (given, given / CASE) if path.is_file()), None)
+        if found is not None:
+            home, target = found.parent.resolve(), found.resolve()
+            shipped_one = found.is_relative_to(folder("cases"))  # however it was installed
+            if found.is_symlink() and not target.is_relative_to(home) and not shipped_one:
+                raise CaseFileError(f"{found}: a link out of its folder; expected a file, so copy or name {target}")
+            return found
+    except CaseFileError:
+        raise
     except (OSError, ValueError) as error:
         raise CaseFileError(f"{str(case)!r}: cannot be looked up: {error}") from error
     shipped = shipped_cases()
@@ -84,12 +92,9 @@ def read_case(case: str | Path, name: str | None = None) -> CaseText:
     """
     path = find_case(case)
     try:
-        with path.open("rb") as handle:
-            data = handle.read(MOST_BYTES + 1)
-    except OSError as error:
-        raise CaseFileError(f"{path}: cannot be read: {error}") from error
-    if len(data) > MOST_BYTES:
-        raise CaseFileError(f"{path}: larger than {MOST_BYTES} bytes: expected a case file of a few kilobytes")
+        data = read_limited(path, MOST_BYTES, "a case file of a few kilobytes")
+    except ReadError as error:
+        raise CaseFileError(str(error)) from error
     try:
         text = data.decode("utf-8")
     except UnicodeDecodeError as error:
@@ -102,7 +107,6 @@ def read_case(case: str | Path, name: str | None = None) -> CaseText:
 
 def parse_toml(text: str, where: str) -> dict[str, Any]:
     """Return the tables of a TOML text; `CaseFileError` with file and line where it is none."""
-    from kncal.case_messages import short
 
     if deep := _DEEP_KEY.search(text):
         line = text.count("\n", 0, deep.start()) + 1
@@ -118,9 +122,10 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
         found = re.search(r"at line (\d+)", str(error))
         lines = text.splitlines()
         number = int(found[1]) if found else len(lines)
-        shown = f": {short(lines[number - 1].strip())}" if 0 < number <= len(lines) else ""
+        line = lines[number - 1].strip() if 0 < number <= len(lines) else ""
+        shown = f": {short(line)}" if line and line.replace("\t", " ").isprintable() else ""
         hint = "expected TOML: text in double quotes, numbers without units, each key once"
-        raise CaseFileError(f"{where}, line {number}{shown}: {error}; {hint}") from error
+        raise CaseFileError(f"{where}, line {number}{shown}: {str(error)[:100]}; {hint}") from error
     except (ValueError, RecursionError) as error:
         raise CaseFileError(f"{where}: {error}: expected TOML with plain numbers and short lists") from error
 

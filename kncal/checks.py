@@ -120,7 +120,7 @@ def plain_name(name: str, value: object) -> str:
     if isinstance(value, str) and NAME_PATTERN.fullmatch(value):
         return value
     raise InputError(
-        f"{name} {_cut(value)}: expected a name of at most 64 letters (A-Z, a-z), digits, '.', '_' and '-', starting "
+        f"{name} {short(value)}: expected a name of at most 64 letters (A-Z, a-z), digits, '.', '_' and '-', starting "
         "with a letter or a digit (names are written into solver input)"
     )
 
@@ -133,13 +133,13 @@ def one_of(name: str, value: object, allowed: Collection[str]) -> str:
 
     near = difflib.get_close_matches(str(value)[:100], list(allowed), n=1)
     hint = f"; did you mean {near[0]!r}?" if near else ""
-    raise InputError(f"{name} = {_cut(value)}: expected one of {', '.join(sorted(allowed))}{hint}")
+    raise InputError(f"{name} = {short(value)}: expected one of {', '.join(sorted(allowed))}{hint}")
 
 
-def _cut(value: object) -> str:
-    """Return a value as Python writes it, at most 100 characters: it may be any text of a stranger."""
-    text = repr(value)
-    return text if len(text) <= 100 else f"{text[:97]}..."
+def short(value: object) -> str:
+    """Return a value as Python writes it, cut to 70 characters; harmless on a terminal, whoever wrote it."""
+    text = repr(value)  # escapes control characters and line separators
+    return text if len(text) <= 70 else f"{text[:67]}..."
 
 
 def _first(numbers: Array, bad: NDArray[np.bool_]) -> str:

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
-from kncal.case_messages import short
 from kncal.case_text import toml_key, toml_value
+from kncal.checks import short
 from kncal.errors import CaseFileError, InputError
 
 _BARE_WORD = re.compile(r"[A-Za-z][A-Za-z0-9._-]*")

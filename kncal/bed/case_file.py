@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from kncal.bed.scene import BedParticles, BedRun, BedScene, Column, Gas, Jet
 from kncal.case_text import contact_tables, entries, material_tables, parse_toml, read_case, settings, table
+from kncal.checks import short
 from kncal.errors import CaseFileError, InputError
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ def parse_bed(text: str, *, name: str, where: str = "case", tables: Mapping[str,
 
     from kncal.bed.case_checks import problems
     from kncal.bed.schema import BedTable
-    from kncal.case_messages import fault, placed, refusal, short
+    from kncal.case_messages import fault, placed, refusal
     from kncal.case_schema import NAME, NAME_EXPECTED
 
     if not NAME.fullmatch(name):
