@@ -14,6 +14,7 @@ import hashlib
 import os
 import platform
 import shutil
+import stat
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -155,7 +156,7 @@ def set_aside(out: Path, kinds: Iterable[str] | None = None) -> Path:
     attempt.mkdir()
     if (out / MANIFEST).exists():
         shutil.copyfile(out / MANIFEST, attempt / MANIFEST)  # first: it says whose the attempt is (see `is_attempt`)
-    if (out / CASE).exists():
+    if kinds is not None and (out / CASE).is_file():
         shutil.copyfile(out / CASE, attempt / CASE)
     for name in sorted(names, key=lambda name: name == MANIFEST):  # the manifest last, see `_check_ours`
         if os.path.lexists(out / name):
@@ -181,19 +182,22 @@ def is_attempt(folder: Path) -> bool:
 
 
 def refuse_links(out: Path) -> None:
-    """Refuse a run folder that holds symbolic links, before anything is written into it again.
+    """Refuse a run folder that holds symbolic links, pipes or devices, before anything is written into it again.
 
-    kncal makes none; in a folder from elsewhere they could lead a run to write, or to delete, outside of it.
+    kncal makes none; in a folder from elsewhere they could lead a run to write, or to delete, outside of it, or to
+    wait for ever.
 
     Raises
     ------
     RenderError
-        Naming the first link.
+        Naming the first one.
     """
     for place, folders, files in os.walk(out, followlinks=False):
         for name in (*folders, *files):
-            if (path := Path(place, name)).is_symlink():
-                raise RenderError(f"{path}: a symbolic link, which kncal does not make: remove it to go on in {out}")
+            mode = os.lstat(path := Path(place, name)).st_mode
+            if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+                what = "a symbolic link" if stat.S_ISLNK(mode) else "a pipe or a device"
+                raise RenderError(f"{path}: {what}, which kncal does not make: remove it to go on in {out}")
 
 
 def model_manifest(
@@ -293,7 +297,7 @@ def read_result(folder: Path) -> RunResult:
         if not (folder / name).is_file():
             raise ReadError(f"{folder / name}: not there, though the run wrote it; run the case again")
         if (size := size + (folder / name).stat().st_size) > 4 * MOST_HASHED:
-            raise ReadError(f"{path}: files_sha256: more than {4 * MOST_HASHED} bytes, expected smaller files")
+            raise ReadError(f"{folder / name}: {size} bytes with those before it, expected at most {4 * MOST_HASHED}")
         if sha256(folder / name) != digest:
             raise ReadError(f"{folder / name}: changed since the run ended; run the case again")
     needed = SERIES if record.engine == "coupled" else FRAMES

@@ -9,6 +9,7 @@ from __future__ import annotations
 import fcntl
 import os
 import socket
+import stat
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -37,12 +38,16 @@ def locked(out: Path) -> Iterator[int]:
         If the folder cannot be locked.
     """
     path = out / LOCK
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
+    # O_NONBLOCK, O_NOCTTY: what a stranger put there may be a pipe or a terminal
+    flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK | os.O_NOCTTY
+    descriptor = os.open(path, flags, 0o644)
     try:
+        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+            raise RenderError(f"{path}: not a regular file, so no lock of kncal; remove it, or choose another --out")
         try:
             _lock(descriptor)
         except BlockingIOError as error:
-            owner = os.pread(descriptor, 300, 0).decode("utf-8", errors="replace").strip()
+            owner = signed(descriptor)
             raise FolderInUseError(
                 f"{out}: in use by {owner or 'another run that is just starting'} (or by a solver it left behind); "
                 "wait for its end, or choose another --out; nothing was changed"
@@ -52,6 +57,12 @@ def locked(out: Path) -> Iterator[int]:
         yield descriptor
     finally:
         os.close(descriptor)
+
+
+def signed(descriptor: int) -> str:
+    """Return what the lock says of who holds it; empty if nothing yet."""
+    text = os.pread(descriptor, 300, 0).decode("utf-8", errors="replace").strip()
+    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)
 
 
 def sign(descriptor: int) -> None:

@@ -40,7 +40,8 @@ Positive = Annotated[float, Field(gt=0.0)]
 Seconds = Annotated[float, Field(ge=0.0)]
 Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 FileName = Annotated[str, AfterValidator(_file_name)]
-Digests = dict[Annotated[str, AfterValidator(_inside)], Sha256]
+Inside = Annotated[str, AfterValidator(_inside)]
+Digests = dict[Inside, Sha256]
 
 
 class Record(BaseModel):

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import fcntl
 import os
+import stat
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from kncal.errors import ReadError
 from kncal.folder import read_result
-from kncal.lock import LOCK
+from kncal.lock import LOCK, signed
 from kncal.model import KINDS
 from kncal.records import ATTEMPT, MANIFEST, RESULT, STARTED
 from kncal.started import end_without_result
@@ -126,13 +127,16 @@ def command_of(folder: Path) -> str:
 def holder(out: Path) -> str:
     """Return who holds the run folder ``out`` ("pid 12 on host, started ..."), empty if no one does."""
     try:
-        descriptor = os.open(out / LOCK, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
+        flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK | os.O_NOCTTY
+        descriptor = os.open(out / LOCK, flags)
     except OSError:  # never locked
         return ""
     try:
+        if not stat.S_ISREG(os.fstat(descriptor).st_mode):  # a stranger's pipe, or worse: no lock of kncal
+            return ""
         fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
-        return os.pread(descriptor, 300, 0).decode("utf-8", errors="replace").strip() or "a run that is just starting"
+        return signed(descriptor) or "a run that is just starting"
     except OSError:  # a file system without locks
         return ""
     finally:

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 #: A larger JSON file is refused: read, it takes about twenty times its size.
 MAX_JSON_BYTES = 32 * 1024**2
+#: What spreadsheets take for the beginning of a formula; the wide forms too.
+_FORMULA = ("=", "+", "-", "@", "\uff1d", "\uff0b", "\uff0d", "\uff20")
 
 
 def write_json(path: Path, data: object) -> None:
@@ -88,7 +90,38 @@ def write_csv(path: Path, frame: pd.DataFrame, units: Mapping[str, str]) -> None
     if missing:
         raise InputError(f"units: nothing for {', '.join(missing)}; expected a unit for each column ('-' for none)")
     comment = "# units: " + ", ".join(f"{name} [{units[name]}]" for name in frame.columns)
-    write_text(path, f"{' '.join(comment.split())}\n{frame.to_csv(index=False, lineterminator=chr(10))}")
+    write_text(path, f"{' '.join(comment.split())}\n{csv_text(frame)}")
+
+
+def csv_text(frame: pd.DataFrame) -> str:
+    """Return a table as CSV that no spreadsheet takes for a formula or a terminal for a command.
+
+    In text, control characters become spaces, and what a spreadsheet would compute (``=``, ``+``, ``-``, ``@`` first)
+    gets an apostrophe before it: text may come from a stranger's run folder. Numbers are left as they are.
+    """
+    harmless = frame.rename(columns=_harmless)
+    for i, kind in enumerate(frame.dtypes):
+        if getattr(kind, "kind", "O") not in "biufc":  # not a number
+            harmless.isetitem(i, frame.iloc[:, i].map(_harmless))
+    text: str = harmless.to_csv(index=False, lineterminator="\n")
+    return text
+
+
+def _harmless(value: Any) -> Any:
+    if not isinstance(value, str):
+        return value
+    text = "".join(c if c.isprintable() else " " for c in value)
+    if len(text) > 1 and text.lstrip().startswith(_FORMULA) and not _is_number(text):
+        return f"'{text}"
+    return text
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _plain(value: Any, where: str) -> Any:

@@ -25,7 +25,8 @@ from kncal.checks import Array
 from kncal.engines.coupled import Coupled
 from kncal.errors import ReadError
 from kncal.fluidization import relaxation_time
-from kncal.io.tables import read_json, write_json
+from kncal.io.tables import write_json
+from kncal.records import Record, is_record, read_record
 from kncal.workflow import require_completed
 
 #: Particles of a reduced bed, its gas cells in x and y, and its simulated time [s].
@@ -205,6 +206,13 @@ def _level(scene: BedScene, codes: Sequence[str]) -> str:
     return f"{findings[0].level}: {', '.join(f.code for f in findings if f.level == findings[0].level)}"
 
 
+class _Ended(Record):
+    """How a run ended: its failure, or its status."""
+
+    status: str
+    message: str
+
+
 def _run(scene: BedScene, positions: Array, folder: Path, transport: str) -> tuple[str, str, BedSeries | None]:
     """Status or failure, message, and what is there of the series. Limits are not asked: the run goes past them.
 
@@ -214,7 +222,7 @@ def _run(scene: BedScene, positions: Array, folder: Path, transport: str) -> tup
     digest = hashlib.sha256(repr(model).encode() + positions.tobytes()).hexdigest()
     there = folder.with_name(f"{folder.name}-{digest[:12]}")
     record = there / "ended.json"
-    if not record.is_file():
+    if not is_record(_Ended, record):
         if there.exists():  # stopped on its way; this study's own folder
             shutil.rmtree(there)
         there.mkdir(parents=True)
@@ -222,12 +230,12 @@ def _run(scene: BedScene, positions: Array, folder: Path, transport: str) -> tup
         if result.status in ("interrupted", "not_installed"):
             require_completed([result])
         write_json(record, {"status": result.failure or result.status, "message": result.message})
-    ended = read_json(record)
+    ended = read_record(_Ended, record)
     try:
         series: BedSeries | None = read_series(there / "series")
     except ReadError:
         series = None  # it failed before its first coupling was written
-    return str(ended["status"]), str(ended["message"]), series
+    return ended.status, ended.message, series
 
 
 def _point(

@@ -14,7 +14,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from kncal.errors import InputError
+from kncal.errors import InputError, ReadError
+from kncal.io.files import read_limited
 from kncal.overrides import Override, parse_override
 
 #: More points than this are refused.
@@ -77,15 +78,11 @@ def read_points(path: Path) -> list[Point]:
         If it cannot be read, or a row is not as long as the header; the text names the line.
     """
     try:
-        with path.open("rb") as file:
-            data = file.read(MOST_BYTES + 1)
-        text = data.decode("utf-8-sig")
-    except OSError as error:
-        raise InputError(f"--points {path}: cannot be read ({error.strerror})") from error
+        text = read_limited(path, MOST_BYTES, "a CSV file of points").decode("utf-8-sig")
+    except ReadError as error:
+        raise InputError(f"--points {error}") from error
     except UnicodeDecodeError as error:
         raise InputError(f"--points {path}: byte {error.start} is not UTF-8; expected a CSV file") from error
-    if len(data) > MOST_BYTES:
-        raise InputError(f"--points {path}: more than {MOST_BYTES} bytes; expected a CSV file of points")
     reader = csv.reader(io.StringIO(text, newline=""), strict=True, skipinitialspace=True)
     points: list[Point] = []
     try:

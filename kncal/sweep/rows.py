@@ -7,25 +7,34 @@ the version of kncal that made them.
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 import math
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import Field
 
 from kncal import __version__
 from kncal.engines.base import RunResult
 from kncal.errors import KncalError, ReadError
 from kncal.folder import ROW, read_result
-from kncal.records import RESULT
+from kncal.io.files import sha256
+from kncal.io.tables import MAX_JSON_BYTES
+from kncal.records import RESULT, Record, Sha256, read_record
 from kncal.sweep.design import Sweep, run_folder
 
 #: Why a run did not complete, by its status where that says it.
 _CLASSES = {"timed_out": "timed-out", "interrupted": "interrupted", "not_installed": "not-installed"}
 
 Row = dict[str, Any]
+
+
+class _Rows(Record):
+    kncal: str
+    results: dict[str, Sha256]
+    rows: list[dict[Annotated[str, Field(max_length=200)], str | int | float | bool | None]]
 
 
 def failure_class(status: str, failure: str) -> str:
@@ -135,8 +144,8 @@ def _digests(sweep: Sweep, out: Path) -> dict[str, str]:
     """Return model -> SHA-256 of its ``result.json``, of those that have one."""
     digests: dict[str, str] = {}
     for kind in sweep.models:
-        with contextlib.suppress(FileNotFoundError):
-            digests[kind] = hashlib.sha256((out / kind / RESULT).read_bytes()).hexdigest()
+        if (out / kind / RESULT).exists():
+            digests[kind] = sha256(out / kind / RESULT, MAX_JSON_BYTES)
     if not digests:
         raise ReadError(f"{out}: no {RESULT}, so this run has not ended")
     return digests
@@ -145,12 +154,11 @@ def _digests(sweep: Sweep, out: Path) -> dict[str, str]:
 def _kept(out: Path, digests: Mapping[str, str]) -> list[Row] | None:
     """Return the rows that this kncal kept in the run's folder, None if there are none of these very results."""
     try:
-        found = json.loads((out / ROW).read_bytes())
-        rows = found["rows"]
-        ours = found["kncal"] == __version__ and found["results"] == digests
-        return rows if ours and isinstance(rows, list) else None
-    except (OSError, ValueError, KeyError, TypeError):
+        found = read_record(_Rows, out / ROW)
+    except ReadError:
         return None  # made anew from the results
+    ours = found.kncal == __version__ and found.results == digests
+    return [dict(row) for row in found.rows] if ours else None
 
 
 def _keep(out: Path, digests: Mapping[str, str], rows: list[Row]) -> None:

@@ -14,13 +14,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kncal import __version__
-from kncal.errors import InputError
+from kncal.errors import InputError, ReadError
+from kncal.io.files import open_limited
 from kncal.io.tables import write_text
 
 #: Folder of a sweep that holds what Slurm's jobs print.
 LOGS = "slurm"
 #: First lines of every script; only a file that begins like this is replaced.
 _MARK = "#!/bin/bash\n# Runs of a kncal sweep"
+_MOST_BYTES = 64 * 1024**2
 #: Slurm's own default of MaxArraySize, less one: larger arrays are refused by most sites.
 ARRAY = 1000
 #: A run gets SIGTERM so long before its time is over [s], to end its solver in order and leave its state.
@@ -122,9 +124,9 @@ def write_script(path: Path, text: str) -> None:
     """
     if path.is_symlink() or path.exists():
         try:
-            with path.open(encoding="utf-8") as file:
-                ours = not path.is_symlink() and file.read(len(_MARK)) == _MARK
-        except (OSError, UnicodeDecodeError):
+            with open_limited(path, _MOST_BYTES, "a script") as file:
+                ours = not path.is_symlink() and file.read(len(_MARK.encode())) == _MARK.encode()
+        except (OSError, ReadError):
             ours = False
         if not ours:
             raise InputError(f"{path}: exists and is no script of an earlier --export-slurm; choose another name")

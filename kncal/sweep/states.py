@@ -10,12 +10,17 @@ import contextlib
 import json
 import os
 import re
+import stat
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from kncal.checks import short
+from kncal.engines.base import STATUSES
+from kncal.errors import ReadError
+from kncal.io.files import read_limited
 from kncal.io.tables import write_text
 from kncal.records import RESULT, STARTED
 from kncal.started import end_without_result
@@ -30,6 +35,9 @@ WAITING, RUNNING, UNFINISHED = "waiting", "running", "unfinished"
 _NEWEST = 10
 #: A larger ``result.json`` is no result [bytes].
 _LARGEST = 16 * 1024**2
+#: A larger ``states.jsonl`` is none: a line takes some hundred bytes, a sweep has at most some hundred thousand runs.
+_MOST_NOTES = 512 * 1024**2
+_KNOWN = (WAITING, RUNNING, UNFINISHED, "not_run", *STATUSES)
 
 #: What reading a record, and values out of it, raises if it is none.
 UNREADABLE = (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError)
@@ -168,7 +176,9 @@ def read_state(sweep: Sweep, out: Path | str, stamps: Stamps) -> dict[str, Any]:
             return unfinished
         try:
             data = read_quickly(f"{out}/{kind}/{RESULT}")
-            state["status"], state["message"] = str(data["status"]), str(data["message"])
+            if data["status"] not in STATUSES:
+                raise ValueError(f"status = {short(data['status'])}")
+            state["status"], state["message"] = data["status"], str(data["message"])
             state["class"] = failure_class(state["status"], str(data["failure"]))
         except UNREADABLE as error:
             message = f"{out}/{kind}/{RESULT}: damaged ({type(error).__name__}: {error}); run it again"
@@ -183,10 +193,11 @@ def read_quickly(path: str) -> Any:
 
     What it raises is up to the reader: `UNREADABLE`.
     """
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY)
     try:
-        if (size := os.fstat(descriptor).st_size) > _LARGEST:
-            raise ValueError(f"{size} bytes, expected at most {_LARGEST}")
+        about = os.fstat(descriptor)
+        if (size := about.st_size) > _LARGEST or not stat.S_ISREG(about.st_mode):
+            raise ValueError(f"{size} bytes, expected a file of at most {_LARGEST}")
         return json.loads(os.read(descriptor, size))
     finally:
         os.close(descriptor)
@@ -207,14 +218,15 @@ def _running(run: str, out: Path, owner: str) -> Running:
 def read_states(folder: Path) -> dict[str, dict[str, Any]]:
     """Return id -> the last that was noted of it; lines that are no notes (cut off by a crash) are left out."""
     try:
-        data = (folder / STATES).read_bytes()
-    except OSError:
+        data = read_limited(folder / STATES, _MOST_NOTES, "notes on a sweep")
+    except ReadError:
         return {}
     states = {}
     for line in data.split(b"\n"):
         try:
             note = json.loads(line)
-            if isinstance(note["stamps"], dict) and {"status", "class", "message"} <= note.keys():
+            texts = all(isinstance(note[key], str) for key in ("id", "class", "message"))
+            if texts and isinstance(note["stamps"], dict) and note["status"] in _KNOWN:
                 states[note["id"]] = note
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             continue

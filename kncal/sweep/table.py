@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from kncal.case_text import toml_value
 from kncal.errors import InputError, ReadError
-from kncal.io.tables import write_text
+from kncal.io.tables import csv_text, write_text
 from kncal.sweep.design import Sweep, keys_of, read_design, run_folder
 from kncal.sweep.rows import Row, ended_rows, failed_rows
 from kncal.sweep.states import WAITING, read_states, state_of
@@ -79,7 +79,7 @@ def frame(sweep: Sweep, rows: Mapping[str, Sequence[Row]]) -> pd.DataFrame:
 def write_table(folder: Path, table: pd.DataFrame) -> Path:
     """Write ``sweep.csv`` (whole or not at all) and return its path."""
     text = table.assign(message=[" ".join(str(m).split()) for m in table["message"]])
-    write_text(folder / CSV, text.to_csv(index=False, lineterminator="\n"))
+    write_text(folder / CSV, csv_text(text))
     return folder / CSV
 
 

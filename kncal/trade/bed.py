@@ -17,6 +17,7 @@ from kncal.bed.compare import ObservedRun, observed
 from kncal.bed.planning import plan_bed
 from kncal.bed.scene import BedScene
 from kncal.case_file import load_case
+from kncal.case_text import read_case
 from kncal.errors import CaseFileError, InputError, InterruptedRunError, KncalError
 from kncal.mpi import check_fit
 from kncal.trade.base import Candidate, Tell, Trade, TradeOptions, TradePoint
@@ -115,7 +116,7 @@ class _Session:
         self.notes += notes
         smallest = min(self.options.tolerances.values(), default=0.05)
         self.steps, self.left = reference_steps(self.scene, self.options.steps, smallest)
-        self.text = self.shared.read_text(encoding="utf-8")
+        self.text = read_case(self.shared).text
         self.top, self.groups = bed_contacts(self.case, self.options)
         if self._add(self.top, self.steps) is None:
             raise CaseFileError(f"the reference: {self.refused[self.top.at(self.steps).name].message}")

@@ -67,8 +67,7 @@ def shared_case(case: str | Path, scene: BedScene, folder: Path) -> tuple[Path, 
         )
     path = folder / "start" / scene.name / CASE
     path.parent.mkdir(parents=True, exist_ok=True)
-    if not path.is_file() or path.read_text(encoding="utf-8") != text:
-        write_text(path, text)
+    write_text(path, text)
     return path, tuple(notes)
 
 

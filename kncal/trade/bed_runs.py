@@ -11,12 +11,14 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 import math
 import os
 from collections.abc import Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from threading import Event
 
@@ -33,9 +35,9 @@ from kncal.coupling.checkpoint import last_checkpoint
 from kncal.engines.base import RunResult
 from kncal.errors import InterruptedRunError, ReadError
 from kncal.folder import read_model_folder, read_result
-from kncal.io.tables import read_json, write_json
+from kncal.io.tables import write_json
 from kncal.model import KINDS
-from kncal.records import RESULT
+from kncal.records import RESULT, Count, Inside, Record, Seconds, read_record
 from kncal.study import VariantRun, run_variants
 from kncal.trade.base import Candidate
 
@@ -185,17 +187,40 @@ class Track:
     def take_up(self) -> None:
         """Find what an earlier start left of this very run."""
         kept = self.folder / PARTS
-        if not kept.is_file():
+        if not kept.exists():
             return
         try:
-            record = read_json(kept)
-            same, status = record["key"] == self.key, str(record["status"])
-            parts, run = [Part(**part) for part in record["parts"]], self.folder / str(record["run"])
-        except (KeyError, TypeError) as error:
-            raise ReadError(f"{kept}: damaged ({error!r}); delete it, the runs beside it stay") from error
-        if same and (run / RESULT).is_file():
+            record = read_record(_Parts, kept)
+            parts = [Part(**part.model_dump()) for part in record.parts]
+            marks = [0, *(part.last for part in parts)]
+            if [part.first for part in parts] != marks[:-1] or any(a >= b for a, b in pairwise(marks)):
+                raise ReadError(f"{kept}: parts: expected each to begin where the one before it ended")
+        except ReadError as error:
+            logging.getLogger("kncal").warning("%s; its CPU times are lost, the runs beside it stay", error)
+            return
+        run = self.folder / record.run
+        if record.key == self.key and marks[-1] <= self.model.couplings and (run / RESULT).is_file():
             self.parts, self.run = parts, run
-            self.status = "completed" if status == "completed" else STOPPED
+            self.status = "completed" if record.status == "completed" else STOPPED
+
+
+class _Part(Record):
+    first: Count
+    last: Count
+    dem: Seconds
+    gas: Seconds
+    exchange: Seconds
+    wall: Seconds
+    load: Seconds
+
+
+class _Parts(Record):
+    """``parts.json`` of a candidate."""
+
+    key: str
+    status: str
+    run: Inside
+    parts: list[_Part]
 
 
 def key_of(case_text: str, candidate: Candidate) -> str:

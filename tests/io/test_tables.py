@@ -135,6 +135,25 @@ def test_csv_is_exact_and_says_its_units(tmp_path_factory: pytest.TempPathFactor
     assert back["step"].tolist() == list(range(len(values)))
 
 
+@pytest.mark.parametrize(
+    "text", ["=HYPERLINK(1)", "+1+cmd|' /C calc'!A0", "-2+3", "@SUM(1)", " =1+1", "\t=1", "\uff1d1"]
+)
+def test_a_cell_of_text_is_no_formula(tmp_path: Path, text: str) -> None:
+    write_csv(tmp_path / "a.csv", pd.DataFrame({"x": [-1.5, 2.0], "why": [text, "fine"]}), {"x": "m", "why": "-"})
+    (first, second) = pd.read_csv(tmp_path / "a.csv", comment="#").to_dict(orient="records")
+    assert first["why"].lstrip().startswith("'")
+    assert first["why"].lstrip(" '").rstrip() == text.strip()
+    assert (first["x"], second["x"], second["why"]) == (-1.5, 2.0, "fine")
+
+
+def test_a_cell_of_text_holds_no_control_characters_and_numbers_in_text_stay(tmp_path: Path) -> None:
+    texts = ["a\x1b[31mb\x00\x07\x9b\u202ec", "-3.5e-3", "-", "[-1.0, 2]"]
+    write_csv(tmp_path / "a.csv", pd.DataFrame({"why": texts}), {"why": "-"})
+    found = (tmp_path / "a.csv").read_text().splitlines()[2:]
+    assert all(line.isprintable() for line in found)
+    assert found[1:] == ["-3.5e-3", "-", '"[-1.0, 2]"']
+
+
 def test_csv_needs_every_unit(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="delta"):
         write_csv(tmp_path / "a.csv", pd.DataFrame({"t": [0.0], "delta": [0.0]}), {"t": "s"})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import os
 import shutil
@@ -30,6 +31,7 @@ from kncal.sweep import (
     sweep_status,
 )
 from kncal.sweep.design import physics_text
+from kncal.sweep.table import write_table
 from kncal.workflow import load_run
 
 SETTINGS = Settings(engine="builtin")
@@ -452,6 +454,27 @@ def test_a_design_that_is_none_is_refused(folder: Path, text: str) -> None:
     for read in (sweep_status, read_sweep):
         with pytest.raises(ReadError, match=r"sweep\.json"):
             read(folder)
+
+
+def test_the_table_computes_nothing_and_commands_no_terminal(folder: Path) -> None:
+    """Texts of a result.json from elsewhere, by the record itself and by what was kept of it."""
+    hostile = '=HYPERLINK("http://x","y")\x1b]0;z\x07'
+    one, two, *_ = sorted((folder / "runs").iterdir())
+    for run in (one, two):
+        record = json.loads((run / "linear" / "result.json").read_text())
+        record |= {"status": "failed", "failure": hostile, "message": hostile}
+        (run / "linear" / "result.json").write_text(json.dumps(record))
+    (two / "hertz" / "result.json").unlink()
+    for _ in range(2):  # the second from what the first kept
+        text = write_table(folder, read_sweep(folder)).read_text()
+        assert "HYPERLINK" in text
+        assert text.replace("\n", "").isprintable()
+        cells = [cell for row in csv.reader(text.splitlines()) for cell in row]
+        assert not [cell for cell in cells if cell.lstrip()[:1] in tuple("=+@") and cell.strip()]
+    kept = json.loads((one / "row.json").read_text())
+    for wrong in ({"rows": 5}, {"rows": [[1]]}, {"rows": [{"id": {"a": 1}}]}, {"rows": [{"=1": []}]}):
+        (one / "row.json").write_text(json.dumps(kept | wrong))
+        assert len(read_sweep(folder)) == 8
 
 
 def test_a_worker_elsewhere_needs_the_folder_and_an_id(case: Path, folder: Path) -> None:
