@@ -107,7 +107,6 @@ def read_case(case: str | Path, name: str | None = None) -> CaseText:
 
 def parse_toml(text: str, where: str) -> dict[str, Any]:
     """Return the tables of a TOML text; `CaseFileError` with file and line where it is none."""
-
     if deep := _DEEP_KEY.search(text):
         line = text.count("\n", 0, deep.start()) + 1
         raise CaseFileError(f"{where}, line {line}: {short(deep[0])}: expected keys of at most {DEEPEST} parts")
@@ -122,8 +121,8 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
         found = re.search(r"at line (\d+)", str(error))
         lines = text.splitlines()
         number = int(found[1]) if found else len(lines)
-        line = lines[number - 1].strip() if 0 < number <= len(lines) else ""
-        shown = f": {short(line)}" if line and line.replace("\t", " ").isprintable() else ""
+        faulty = lines[number - 1].strip() if 0 < number <= len(lines) else ""
+        shown = f": {short(faulty)}" if faulty and faulty.replace("\t", " ").isprintable() else ""
         hint = "expected TOML: text in double quotes, numbers without units, each key once"
         raise CaseFileError(f"{where}, line {number}{shown}: {str(error)[:100]}; {hint}") from error
     except (ValueError, RecursionError) as error:

@@ -102,7 +102,7 @@ def csv_text(frame: pd.DataFrame) -> str:
     harmless = frame.rename(columns=_harmless)
     for i, kind in enumerate(frame.dtypes):
         if getattr(kind, "kind", "O") not in "biufc":  # not a number
-            harmless.isetitem(i, frame.iloc[:, i].map(_harmless))
+            harmless.isetitem(i, [_harmless(value) for value in frame.iloc[:, i]])
     text: str = harmless.to_csv(index=False, lineterminator="\n")
     return text
 
