@@ -14,9 +14,8 @@ from kncal.bed.model import BedModel
 from kncal.bed.scene import DEPTHS, BedScene
 from kncal.checks import Array
 from kncal.coupling.impacts import Side
-from kncal.engines.liggghts_checks import expect, expect_same
+from kncal.engines.liggghts_checks import expect, expect_same, require_tsuji
 from kncal.engines.liggghts_deck import HARD_LIMIT, RIGID, SOFT_LIMIT, tsuji_restitution
-from kncal.errors import RenderError
 from kncal.io.liggghts_log import END_MARKER
 from kncal.model import PairContact
 from kncal.resources import folder as shipped_folder
@@ -198,12 +197,7 @@ def _linear_properties(contacts: dict[tuple[str, str], PairContact]) -> list[Ent
 def _hertz_properties(scene: BedScene, contacts: dict[tuple[str, str], PairContact]) -> list[Entry]:
     particle, wall = scene.particles.material, scene.column.wall_material
     for names, c in contacts.items():
-        tsuji = c.law == "tsuji" and (c.p == 0.25 or c.c == 0.0)
-        if not (tsuji or (c.law == "hertz" and c.c == 0.0)) or c.n != 1.5:
-            raise RenderError(
-                f"pair {names[0]}, {names[1]}: LIGGGHTS has no {c.law!r} law: expected 'tsuji', or 'hertz' without "
-                "damping"
-            )
+        require_tsuji(names, c)
         other = particle if names == PARTICLES else wall
         E = 1.0 / float(particle.compliance + (other.compliance if other else 0.0))
         G = 1.0 / float(particle.shear_compliance + (other.shear_compliance if other else 0.0))

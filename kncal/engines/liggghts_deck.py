@@ -19,6 +19,7 @@ from kncal.engines.liggghts_checks import (
     check_tangential,
     expect,
     expect_same,
+    require_tsuji,
 )
 from kncal.engines.liggghts_schedule import schedule
 from kncal.errors import RenderError
@@ -56,7 +57,7 @@ def deck_context(model: Model, linear_style: str) -> dict[str, object]:
     ends = {contact.end for contact in model.contacts.values()}
     if len(ends) > 1:
         raise RenderError(
-            f"{scene.name}: contacts end at {' and '.join(sorted(ends))}: LIGGGHTS has one limitForce for "
+            f"{scene.name}: contacts end at {' and '.join(sorted(ends))}: kncal writes one limitForce for "
             "all of them; choose one contact.end"
         )
     needs = decide(scene)
@@ -123,14 +124,32 @@ def tsuji_restitution(contact: PairContact, names: tuple[str, str]) -> float:
     return _restitution(contact, names, contact.c / math.sqrt(5.0 * contact.m_eff * contact.k))
 
 
+def spring_restitution(contact: PairContact, names: tuple[str, str]) -> float:
+    """Return the coefficientRestitution whose damping of LIGGGHTS' `hooke` is exactly ``contact.c``, 2 b sqrt(m_eff k).
+
+    Raises
+    ------
+    RenderError
+        As `tsuji_restitution`.
+    """
+    return _restitution(contact, names, contact.c / (2.0 * math.sqrt(contact.m_eff * contact.k)))
+
+
+def hooke_stiffness(contact: PairContact, velocity: float) -> float:
+    """Return the k_n that LIGGGHTS' `hooke` model finds by strain energy [N/m], at ``velocity`` [m/s]."""
+    stiff = math.sqrt(contact.R_eff) * contact.E_eff
+    return float(16.0 / 15.0 * stiff * (15.0 * contact.m_eff * velocity**2 / (16.0 * stiff)) ** 0.2)
+
+
 def _restitution(contact: PairContact, names: tuple[str, str], b: float) -> float:
     e = math.exp(-math.pi * b / math.sqrt(1.0 - b * b)) if b < 1.0 else 0.0
     if e <= LEAST_RESTITUTION:
         asked = f"e_n = {contact.e_n:g} with contact end {contact.end!r}"
         raise RenderError(
-            f"pair {names[0]}, {names[1]}: {asked} needs damping that LIGGGHTS does not have (its "
+            f"pair {names[0]}, {names[1]}: {asked} needs damping that this LIGGGHTS model does not have (its "
             f"coefficientRestitution would be {e:.4g}; it wants more than {LEAST_RESTITUTION:g}): choose a "
-            "larger e_n, or run this model with the builtin engine"
+            f"larger e_n, {'the hooke/stiffness style, ' if contact.law == 'linear' else ''}or run this model with the "
+            "builtin engine"
         )
     # The inverse of the formula that gave c: the same number but for rounding; the asked one reads better.
     return contact.e_n if abs(e - contact.e_n) < 1e-14 else min(e, 1.0)
@@ -142,12 +161,7 @@ def _linear_numbers(scene: Scene, names: Names, c: PairContact, V: float) -> Num
 
 
 def _hertz_numbers(scene: Scene, names: Names, c: PairContact, V: float) -> Numbers:
-    damped_as_tsuji = c.law == "tsuji" and (c.p == 0.25 or c.c == 0.0)
-    if not (damped_as_tsuji or (c.law == "hertz" and c.c == 0.0)) or c.n != 1.5:
-        raise RenderError(
-            f"pair {names[0]}, {names[1]}: LIGGGHTS has no {c.law!r} law (its hertz model is 'tsuji', or "
-            "'hertz' without damping): run the hertz model with the builtin engine"
-        )
+    require_tsuji(names, c)
     check_elastic(scene, names, c)
     k_h = 4.0 / 3.0 * c.E_eff * math.sqrt(c.R_eff)
     expect_same(names, "k", c.k, k_h, "Hertz stiffness (4/3) E_eff sqrt(R_eff)")
@@ -163,10 +177,8 @@ def _hooke_numbers(scene: Scene, names: Names, c: PairContact, V: float) -> Numb
         )
     expect(c.law == "linear" and c.n == 1.0, names, f"law {c.law!r} in a linear model", "law 'linear'")
     check_elastic(scene, names, c)
-    stiff = math.sqrt(c.R_eff) * c.E_eff
-    k = 16.0 / 15.0 * stiff * (15.0 * c.m_eff * V**2 / (16.0 * stiff)) ** 0.2
-    expect_same(names, "k", c.k, k, "stiffness that LIGGGHTS' hooke model will take")
-    return {"coefficientRestitution": _restitution(c, names, c.c / (2.0 * math.sqrt(c.m_eff * c.k)))}
+    expect_same(names, "k", c.k, hooke_stiffness(c, V), "stiffness that LIGGGHTS' hooke model will take")
+    return {"coefficientRestitution": spring_restitution(c, names)}
 
 
 _NUMBERS: dict[str, Callable[[Scene, Names, PairContact, float], Numbers]] = {
