@@ -7,13 +7,13 @@ tuned to e_n = 0.9 for an equal pair it gives 0.8615 at a wall. The matrix form 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from kncal.calibration import COLUMNS, Calibration, calibrate
-from kncal.checks import Array, one_of, plain_name, single
+from kncal.checks import Array, in_range, one_of, plain_name, single
 from kncal.errors import InputError, KncalError
 from kncal.material import Material, pair, wall_pair
 
@@ -35,11 +35,13 @@ class PairMatrix:
     ----------
     particles, walls : names of the particle types and wall materials, in the order given
     calibrations : (name, name) -> Calibration, in type order (i <= j)
+    materials : name -> Material, None for a rigid wall
     """
 
     particles: tuple[str, ...]
     walls: tuple[str, ...]
     calibrations: Mapping[tuple[str, str], Calibration]
+    materials: Mapping[str, Material | None] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         # They go into decks, where a line break would start a command.
@@ -103,21 +105,58 @@ class PairMatrix:
             frames.append(frame)
         return pd.concat(frames, ignore_index=True)
 
-    def liggghts(self) -> str:
-        """Return deck lines for `hooke/stiffness`: kn and gamman of every type pair, 17 digits.
+    def liggghts(
+        self,
+        style: str = "hooke/stiffness",
+        *,
+        friction: float = 0.0,
+        k_t_ratio: float | None = None,
+        steps_per_contact: float | None = None,
+    ) -> str:
+        """Return the contact lines of a LIGGGHTS deck, to paste into one (see `kncal.deck_block`).
 
-        A comment says which `limitForce` the numbers are for: it decides where a contact ends, so e_n depends on it.
+        Parameters
+        ----------
+        style : {"hooke/stiffness", "hooke", "hertz"}
+            LIGGGHTS' normal model. "hooke" is for the method strain_energy and one ``v_0``; "hertz" is the reference
+            contact itself, of the law tsuji or hertz.
+        friction : Coulomb coefficient of all pairs [-]
+        k_t_ratio : k_t/k_n of the linear styles [-]. None: Mindlin's ratio of each pair; 1 for "hooke", which has only
+            1 and 2/7
+        steps_per_contact : N of the block's time step; None: `kncal.timestep.usual_steps` of the smallest e_n
+
+        Raises
+        ------
+        InputError
+            For another style, a number out of its range, or a matrix without materials.
+        RenderError
+            If the model of LIGGGHTS has no such contact.
         """
-        size = len(self.names)
-        force_end = any(c.end == "force" for c in self.calibrations.values())
-        limit = "on: the contact ends at zero force" if force_end else "off: the contact ends at zero overlap"
-        types = ", ".join(f"{i} = {name}" for i, name in enumerate(self.names, 1))
-        lines = [f"# hooke/stiffness with limitForce {limit}", f"# atom types: {types}"]
-        lines += [f"# k_n [N/m] and damping per effective mass [1/s], {size}x{size}"]
-        for prop, quantity in (("kn", "k_n"), ("gamman", "gamma_n")):
-            numbers = " ".join(repr(float(x)) for x in self.matrix(quantity).ravel())
-            lines.append(f"fix {prop} all property/global {prop} peratomtypepair {size} {numbers}")
-        return "\n".join(lines) + "\n"
+        from kncal.deck_block import STYLES, BlockType, liggghts_block
+        from kncal.pair_contact import PairNumbers, Rest, pair_contact
+        from kncal.scene import ContactChoice
+        from kncal.timestep import usual_steps
+
+        kind = STYLES[one_of("style", style, STYLES)]
+        if unknown := [name for name in self.names if name not in self.materials]:
+            raise InputError(f"no material of {unknown[0]!r}: expected a matrix made by kncal.calibrate_matrix")
+        mu = float(in_range("friction", single("friction", friction), 0.0, 10.0))
+        ratio = 1.0 if k_t_ratio is None and style == "hooke" else k_t_ratio
+        if ratio is not None:
+            ratio = float(in_range("k_t_ratio", single("k_t_ratio", ratio), 0.0, 10.0))
+        contacts = {}
+        for (a, b), c in self.calibrations.items():
+            # the law itself, which may be one of the user's own
+            choice = ContactChoice(law=cast("str", c.contact_law), end=c.end, k_t_ratio=ratio)
+            numbers = PairNumbers(float(c.e_n), mu, float(c.v_0), float(c.k_n))
+            contacts[a, b] = pair_contact(
+                choice, c.pair, numbers, kind, Rest(0.0, 0.0), scene="matrix", names=f"{a}, {b}"
+            )
+        if steps_per_contact is None:
+            first = min(self.calibrations.values(), key=lambda c: float(c.e_n))
+            steps_per_contact = usual_steps(first.contact_law, float(first.e_n), first.end)
+        types = [BlockType(name=n, material=self.materials[n], is_wall=n in self.walls) for n in self.names]
+        return liggghts_block(types, contacts, style, steps_per_contact)
 
 
 def calibrate_matrix(
@@ -173,7 +212,8 @@ def calibrate_matrix(
             single("k_n (every argument is one number here)", calibrations[a, b].k_n)
         except KncalError as error:
             raise type(error)(f"{a}–{b}: {error}") from error
-    return PairMatrix(tuple(names), tuple(walls), calibrations)
+    materials = {name: material for name, (material, _) in bodies.items()} | dict(walls)
+    return PairMatrix(tuple(names), tuple(walls), calibrations, materials)
 
 
 def _body(name: str, given: object) -> tuple[Material, float]:

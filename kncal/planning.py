@@ -119,7 +119,7 @@ def _model(scene: Scene, kind: str, needs: Needs) -> Model:
     uses = {name: needs.uses(name) for name in ("tangential", "rolling")}
 
     def made(a: Particle, b: Particle | Wall, overlap: float) -> PairContact:
-        return smooth(_contact(scene, a, b, kind, first_speed, overlap), **uses)
+        return smooth(contact_of(scene, a, b, kind, first_speed, overlap), **uses)
 
     known: dict[tuple[SpeciesPair, float], PairContact] = {}
     contacts = {}
@@ -159,7 +159,7 @@ def _timed(model: Model, t_end: float) -> Model:
     return replace(model, t_end=t_end, n_steps=n_steps, flight_every=flight)
 
 
-def _contact(
+def contact_of(
     scene: Scene,
     a: Particle,
     b: Particle | Wall,
@@ -167,7 +167,10 @@ def _contact(
     first_speed: Callable[[Scene], float | None],
     overlap: float,
 ) -> PairContact:
-    """Return the contact of two bodies, which stand for their species; ``overlap`` [m]: at t = 0."""
+    """Return the contact of two bodies, which stand for their species; ``overlap`` [m]: at t = 0.
+
+    Friction is the case's, whether or not the scene needs it. ``first_speed``: as of `pair_choice`.
+    """
     both, numbers = pair_of(a, b), pair_choice(scene, a, b, first_speed)
     rest = Rest(overlap, float(both.m_eff) * float(np.linalg.norm(scene.gravity)))
     names = f"{a.name!r} and {b.name!r}"

@@ -66,9 +66,89 @@ def test_the_block_to_paste_holds_the_numbers_of_the_table(capsys, flags):
     _, out, _ = kncal(capsys, *KN, *flags, "--method", "max_overlap", "--json")
     data = json.loads(out)
     (row,) = [row for row in data["methods"] if row["method"] == "max_overlap"]
-    kn, gamman = (line.split()[7:] for line in data["liggghts"].splitlines() if line.startswith("fix"))
+    lines = [line.split() for line in data["liggghts"].splitlines() if line.startswith("fix")]
+    kn, gamman = (next(words[7:] for words in lines if words[1] == name) for name in ("kn", "gamman"))
     assert repr(row["k_n"]) in kn
     assert any(float(x) == pytest.approx(row["gamma_n"], rel=1e-12) for x in gamman)
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        (["--style", "hooke"], "strain_energy"),
+        (["--style", "hertz", "--law", "hunt_crossley"], "tsuji"),
+        (["--style", "hertz", "--end", "force", "--e-n", "0.1"], "larger e_n"),
+        (["--friction", "-1"], "friction"),
+        (["--steps-per-contact", "0"], "steps_per_contact"),
+    ],
+)
+def test_a_block_that_liggghts_would_not_take_is_refused(capsys, flags, words):
+    given = KN[:-2] if "--e-n" in flags else KN
+    code, _, err = kncal(capsys, *given, *flags)
+    assert code == 2
+    assert words in err
+
+
+TWENTY_MM = """
+[materials.stone]
+young = 1e9
+poisson = 0.25
+density = 2500.0
+[[particles]]
+name = "one"
+material = "stone"
+diameter = 0.02
+position = [0.0, 0.0, 0.02]
+velocity = [{speed}, 0.0, 0.0]
+[[particles]]
+name = "two"
+material = "stone"
+diameter = 0.02
+position = [0.03, 0.0, 0.02]
+[[walls]]
+name = "floor"
+axis = "z"
+position = 0.0
+material = "rigid"
+[contact]
+e_n = 0.5
+k_n = 1e4
+[run]
+until_time = 0.1
+"""
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.2])
+def test_a_prescribed_stiffness_has_damping_duration_step_and_block(capsys, tmp_path, speed):
+    import math
+
+    (tmp_path / "case.toml").write_text(TWENTY_MM.format(speed=speed))
+    code, out, _ = kncal(capsys, "kn", tmp_path, "--json")
+    assert code == 0
+    data = json.loads(out)
+    # closed form (Schaefer et al. 1996): two spheres of 20 mm; at the wall the effective mass is twice that
+    m, k, log = 2500.0 * math.pi * 0.02**3 / 6.0, 1e4, math.log(2.0)
+    for pair, m_eff in (("one–two", m / 2.0), ("one–floor", m)):
+        (row,) = [row for row in data["pairs"][pair]["methods"] if row["method"] == "prescribed"]
+        assert row["k_n"] == k
+        assert row["eta_n"] == pytest.approx(2.0 * log * math.sqrt(k * m_eff / (math.pi**2 + log**2)), rel=1e-9)
+        assert row["t_c"] == pytest.approx(math.sqrt((math.pi**2 + log**2) * m_eff / k), rel=1e-9)
+        assert row["dt"] == pytest.approx(row["t_c"] / 50.0, rel=1e-12)
+        assert (row["delta_max"] is None) == (speed == 0.0)
+        if pair == "one–two":
+            assert row["eta_n"] == pytest.approx(3.118, abs=5e-4)
+            assert row["t_c"] == pytest.approx(2.328e-3, abs=5e-7)
+            assert row["dt"] == pytest.approx(46.56e-6, abs=5e-9)
+    lines = {w[1]: [float(x) for x in w[7:]] for w in map(str.split, data["liggghts"].splitlines()) if w[0] == "fix"}
+    assert lines["kn"] == [k] * 4
+    # two spheres of one kind are one type; eta_n/m_eff
+    eta, walls_eta = (data["pairs"][p]["methods"][-1]["eta_n"] for p in ("one–two", "one–floor"))
+    assert lines["gamman"][:2] == pytest.approx([eta / (m / 2.0), walls_eta / m], rel=1e-12)
+    assert "timestep 4.65" in data["liggghts"]
+    code, out, _ = kncal(capsys, "kn", tmp_path)
+    assert code == 0
+    assert "3.118" in out
+    assert "46.56" in out
 
 
 def test_kn_table_names_every_method(capsys):

@@ -90,11 +90,34 @@ def test_no_name_can_become_a_command(name):
             PairMatrix((name,), (), {(name, name): MATRIX["small", "small"]})
 
 
-def test_liggghts_block_has_no_lines_but_comments_and_properties():
+COMMANDS = ("# ", "fix ", "pair_style gran model ", "pair_coeff * *", "timestep ", "hard_particles yes")
+
+
+@pytest.mark.parametrize("style", ["hooke/stiffness", "hooke", "hertz"])
+def test_liggghts_block_has_no_lines_but_those_of_contacts(style):
     names = ["a.b-c_D", "9", "x" * 64]
-    block = calibrate_matrix({n: (GLASS, 1e-3) for n in names}, {"w": None}, v_0=0.5, e_n=0.9).liggghts()
-    for line in block.splitlines():
-        assert line.startswith(("# ", "fix kn all property/global kn ", "fix gamman all property/global gamman "))
+    matrix = calibrate_matrix({n: (GLASS, 1e-3) for n in names}, {"w": None}, v_0=0.5, e_n=0.9, method="strain_energy")
+    for line in matrix.liggghts(style).splitlines():
+        assert line.startswith(COMMANDS)
+        if line.startswith("fix "):
+            _, name, _, where, same, *_ = line.split()
+            assert (where, same) == ("property/global", name)
+
+
+def test_the_block_has_the_tangential_stiffness_asked_for():
+    def kt_over_kn(**options):
+        lines = {words[1]: words[7:] for words in map(str.split, MATRIX.liggghts(**options).splitlines())}
+        return float(lines["kt"][0]) / float(lines["kn"][0])
+
+    assert kt_over_kn() == pytest.approx(2.0 * (1.0 - 0.22) / (2.0 - 0.22), rel=1e-12)  # Mindlin, like materials
+    assert kt_over_kn(k_t_ratio=2.0 / 7.0) == pytest.approx(2.0 / 7.0, rel=1e-12)
+
+
+def test_a_matrix_made_by_hand_says_what_it_lacks_for_a_block():
+    with pytest.raises(InputError, match="calibrate_matrix"):
+        PairMatrix(("a",), (), {("a", "a"): MATRIX["small", "small"]}).liggghts()
+    with pytest.raises(InputError, match="style"):
+        MATRIX.liggghts("hertz/stiffness")
 
 
 def test_liggghts_block_states_the_contact_end_it_needs():

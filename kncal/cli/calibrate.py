@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 from cyclopts import Parameter
 
@@ -25,11 +25,14 @@ from kncal.errors import InputError
 
 if TYPE_CHECKING:
     from kncal.bed.scene import BedScene
+    from kncal.calibration import Calibration
     from kncal.material import Pair
-    from kncal.scene import Scene
+    from kncal.scene import ContactChoice, Scene
 
 Json = Annotated[bool, Parameter(name="--json", negative="", help="print data for machines")]
 
+#: A block of more characters is for a file, not for a terminal: a dozen atom types.
+_LONG_BLOCK = 20_000
 _COLUMNS = (
     ("k_n", "N/m"),
     ("eta_n", "N s/m"),
@@ -52,6 +55,12 @@ def kn(
     steps_per_contact: Annotated[
         float | None,
         Parameter(help="N of the advised time steps; default: the case's, else 50, more for small e_n"),
+    ] = None,
+    style: Annotated[
+        Literal["hooke/stiffness", "hooke", "hertz"], Parameter(help="LIGGGHTS' normal model in the block to paste")
+    ] = "hooke/stiffness",
+    friction: Annotated[
+        float | None, Parameter(help="Coulomb friction in that block; default 0; a case holds its own")
     ] = None,
     overrides: Set = None,
     from_run: FromRun = None,
@@ -80,6 +89,7 @@ def kn(
         "--force": force is not None,
         "--factor": factor != 1.0,
     }
+    of_block = {"--style": style != "hooke/stiffness", "--friction": friction is not None}
     of_steps = {"--steps-per-contact": steps_per_contact is not None}
     options = {"fraction": fraction, "factor": factor}
     options |= {name: value for name, value in (("t_c", t_c), ("force", force)) if value is not None}
@@ -90,7 +100,7 @@ def kn(
                 f"{given[0]} and --from-run: the run's case holds these numbers: expected one or the other"
             )
         of_run = {"--engine": engine != "liggghts", "--out": out is not None}
-        _refuse_ignored("--from-run (the method is that of the run's case)", of_options | of_steps | of_run)
+        _refuse_ignored("--from-run (the method is that of the run's case)", of_options | of_steps | of_block | of_run)
         kn_from_run(from_run, uncertain or (), picture, json=json)
         return
     if picture is not None:
@@ -104,17 +114,18 @@ def kn(
             )
         from kncal.case_file import load_case
 
-        _refuse_ignored(f"the case {case!r}, whose own method is used", {"--method": of_options["--method"]})
+        of_case = {"--method": of_options["--method"], "--friction": of_block["--friction"]}
+        _refuse_ignored(f"the case {case!r}, whose own is used", of_case)
         scene = load_case(case, overrides=overrides or ())
         if scene.contact.measured is None and (out is not None or engine != "liggghts"):
             raise InputError('--engine and --out are for a case with contact.v_0 = "measured": leave them out')
         scene = measured(scene, out or Path("runs") / scene.name, engine=engine)
-        _kn_case(scene, uncertain or (), options, steps_per_contact, json=json)
+        _kn_case(scene, uncertain or (), options, steps_per_contact, style, json=json)
         return
     if out is not None or engine != "liggghts":
         raise InputError('--engine and --out are for a case with contact.v_0 = "measured": leave them out')
     if uncertain:
-        _refuse_ignored("--uncertain, which gives the distribution of k_n alone", of_steps)
+        _refuse_ignored("--uncertain, which gives the distribution of k_n alone", of_steps | of_block)
         _kn_flags_uncertain(flags, uncertain, method, options, json=json)
         return
     from kncal.timestep import usual_steps
@@ -122,14 +133,13 @@ def kn(
     pair, v_0, e_n = flags.pair(), flags.speed(), flags.restitution()
     steps = usual_steps(flags.law, e_n, flags.end) if steps_per_contact is None else steps_per_contact
     data = _kn_data(pair, v_0, e_n, flags.law, flags.end, options, steps)
-    own = _own(method, options)
-    block = flags.matrix(method, own).liggghts()
+    matrix = flags.matrix(method, _own(method, options))
+    block = matrix.liggghts(style, friction=friction or 0.0, steps_per_contact=steps)
     if json:
         show.as_json(data | {"liggghts": block})
         return
     _kn_print(flags.title(), data)
-    show.say(f"For a LIGGGHTS deck ({method}):\n")
-    show.say(block)
+    _say_block(f"{method}, {style}", block)
 
 
 def _refuse_ignored(beside: str, given: Mapping[str, bool]) -> None:
@@ -202,29 +212,37 @@ def _kn_flags_uncertain(
 
 
 def _kn_case(
-    scene: Scene | BedScene, uncertain: Sequence[str], options: dict[str, Any], n: float | None, *, json: bool
+    scene: Scene | BedScene,
+    uncertain: Sequence[str],
+    options: dict[str, Any],
+    n: float | None,
+    style: str,
+    *,
+    json: bool,
 ) -> None:
+    from kncal.deck_block import case_block
+
     contact = scene.contact
     merged = options | dict(contact.method_options)
     steps = scene.run.steps_per_contact if n is None else n
     result: dict[str, dict[str, Any]] = {}
     for p in _pairs(scene):
-        result[p.name] = {"methods": []}
-        if p.v_0 is not None:
-            result[p.name] = _kn_data(p.pair, p.v_0, p.e_n, contact.law, contact.end, merged, steps)
-        result[p.name]["k_n_prescribed"] = p.k_n
+        data = _kn_data(p.pair, p.v_0, p.e_n, contact.law, contact.end, merged, steps)
+        if p.k_n is not None:
+            data["methods"].append(_prescribed(contact, p, steps))
+        result[p.name] = data | {"k_n_prescribed": p.k_n}
     spreads = {
         p.name: propagate_pair(scene, p.names, uncertain, e_n=p.e_n, v_0=p.v_0) for p in _pairs(scene) if uncertain
     }
     for name, spread in spreads.items():
         result[name]["uncertain"] = spread.to_dict()
+    block = case_block(scene, style, steps)
     if json:
-        show.as_json({"case": scene.name, "method": scene.contact.method, "pairs": result})
+        show.as_json({"case": scene.name, "method": scene.contact.method, "pairs": result, "liggghts": block})
         return
     for name, data in result.items():
-        if data["methods"]:
-            _kn_print(name, data)
-        else:
+        _kn_print(name, data)
+        if data["v_0"] is None:
             show.say(f"{name}: the case has no impact speed to calibrate at (contact.v_0 sets one)")
         if data["k_n_prescribed"] is not None:
             show.say(f"{name}: the case prescribes k_n = {show.quantity(data['k_n_prescribed'], 'N/m')}")
@@ -233,19 +251,73 @@ def _kn_case(
         if name in spreads:
             show.say()
             print_propagation(f"{name}, {scene.contact.method}", spreads[name])
+    _say_block(style, block)
+
+
+def _say_block(what: str, block: str) -> None:
+    show.say(f"For a LIGGGHTS deck ({what}):\n")
+    if len(block) > _LONG_BLOCK:
+        show.say(f'{len(block) // 1024} kB, too long for a terminal: --json has it, in "liggghts"')
+    else:
+        show.say(block)
+
+
+def _prescribed(contact: ContactChoice, p: _CasePair, steps: float) -> dict[str, Any]:
+    """Return the row of a prescribed k_n: its damping, duration and time step; overlaps where a speed is known."""
+    from kncal.errors import ValidityError
+    from kncal.pair_contact import PairNumbers, Rest, calibration_for, pair_contact
+    from kncal.timestep import verlet_limit
+
+    numbers = PairNumbers(p.e_n, 0.0, p.v_0, p.k_n)
+    try:
+        calibration = calibration_for(contact, p.pair, numbers)
+    except ValidityError as error:
+        return {"method": "prescribed", "problem": str(error)}
+    if calibration is not None:
+        row = _row(calibration, steps)
+        del row["reference"]
+        return row | {"method": "prescribed", "k_n": p.k_n}
+    c = pair_contact(contact, p.pair, numbers, "linear", Rest(0.0, 0.0), scene="", names=p.name)
+    return {
+        "method": "prescribed",
+        **dict.fromkeys(("kappa", "delta_max", "delta_mean", "delta_end", "dt_hertz")),
+        "k_n": c.k,
+        "eta_n": c.c,
+        "gamma_n": c.c / c.m_eff,
+        "t_c": c.t_c,
+        "dt": c.t_c / steps,
+        "dt_limit": float(verlet_limit(c.k, c.m_eff, c.c, 12.0)),
+        "warnings": [],
+    }
+
+
+def _row(c: Calibration, steps: float) -> dict[str, Any]:
+    """Return what `kn` tells of one calibration: its numbers, and the time steps at ``steps`` per contact."""
+    from kncal.timestep import advise_time_step
+
+    advice = advise_time_step(c, steps)
+    return {
+        **c.to_dict(),
+        "gamma_n": float(c.gamma_n),
+        "dt": float(advice.linear),
+        "dt_hertz": float(advice.hertz),
+        "dt_limit": float(advice.linear_limit),
+    }
 
 
 def _kn_data(
-    pair: Pair, v_0: float, e_n: float, law: str, end: Any, options: dict[str, Any], steps: float
+    pair: Pair, v_0: float | None, e_n: float, law: str, end: Any, options: dict[str, Any], steps: float
 ) -> dict[str, Any]:
+    """Return what `kn` tells of one pair; without an impact speed no method has anything to say."""
     from kncal.calibration import calibrate
     from kncal.errors import ValidityError
     from kncal.methods import METHODS
-    from kncal.timestep import advise_time_step
 
     rows: list[dict[str, Any]] = []
     reference: dict[str, Any] = {}
     for name, row in METHODS.items():
+        if v_0 is None:
+            break
         own = _own(name, options)
         missing = [k for k in row.required if k not in own]
         if missing:
@@ -256,18 +328,8 @@ def _kn_data(
         except ValidityError as error:
             rows.append({"method": name, "problem": str(error)})
             continue
-        advice = advise_time_step(c, steps)
-        data = c.to_dict()
-        reference = data.pop("reference")
-        rows.append(
-            {
-                **data,
-                "gamma_n": float(c.gamma_n),
-                "dt": float(advice.linear),
-                "dt_hertz": float(advice.hertz),
-                "dt_limit": float(advice.linear_limit),
-            }
-        )
+        rows.append(_row(c, steps))
+        reference = rows[-1].pop("reference")
     return {
         "law": law,
         "end": end,
@@ -294,7 +356,8 @@ def _step_errors(law: str, e_n: float, end: str, steps: float) -> dict[str, dict
 
 def _kn_print(name: str, data: dict[str, Any]) -> None:
     reference, n = data["reference"], data["steps_per_contact"]
-    title = f"{name}: reference {data['law']}, e_n = {data['e_n']:g}, v_0 = {data['v_0']:g} m/s"
+    at = "no v_0" if data["v_0"] is None else f"v_0 = {data['v_0']:g} m/s"
+    title = f"{name}: reference {data['law']}, e_n = {data['e_n']:g}, {at}"
     columns = ["method", *(c for c, _ in _COLUMNS), f"dt (N={n:g})"]
     rows = []
     warnings: dict[str, list[str]] = {}
@@ -306,7 +369,7 @@ def _kn_print(name: str, data: dict[str, Any]) -> None:
         rows.append(
             [
                 row["method"],
-                *(show.quantity(row[c], unit) for c, unit in _COLUMNS),
+                *("" if row[c] is None else show.quantity(row[c], unit) for c, unit in _COLUMNS),
                 show.quantity(row["dt"], "s"),
             ]
         )

@@ -113,10 +113,10 @@ class ContactFlags:
         walls: dict[str, Material | None] = {}
         if self.against != "sphere":
             walls["wall"] = None if self.against == "rigid-wall" else second
-        elif (second, self.radius_2 or radius) == (first, radius):
-            walls["wall_of_same_material"] = first
         else:
-            spheres["sphere_2"] = (second, self.radius_2 or radius)
+            if (second, self.radius_2 or radius) != (first, radius):
+                spheres["sphere_2"] = (second, self.radius_2 or radius)
+            walls["wall_of_same_material"] = first
         return calibrate_matrix(
             spheres,
             walls,
