@@ -27,7 +27,7 @@ app = App(
 )
 app.command(calibrate.kn)
 app.command(calibrate.collide)
-app.command(calibrate.laws)
+app.command(cases.laws)
 app.command(cases.cases)
 app.command(cases.new)
 app.command(cases.needs)

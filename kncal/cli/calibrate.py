@@ -1,4 +1,4 @@
-"""``kncal kn``, ``kncal collide``, ``kncal laws``: calibration without a run."""
+"""``kncal kn``, ``kncal collide``: calibration without a run."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cyclopts import Parameter
 
 from kncal.cli import show
 from kncal.cli.contact_flags import ContactFlags
-from kncal.cli.runs import EngineName, Out, Set, measured
+from kncal.cli.runs import EngineName, Json, Out, Set, measured
 from kncal.cli.speeds import (
     FromRun,
     Picture,
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from kncal.calibration import Calibration
     from kncal.material import Pair
     from kncal.scene import ContactChoice, Scene
-
-Json = Annotated[bool, Parameter(name="--json", negative="", help="print data for machines")]
 
 #: A block of more characters is for a file, not for a terminal: a dozen atom types.
 _LONG_BLOCK = 20_000
@@ -128,18 +126,7 @@ def kn(
         _refuse_ignored("--uncertain, which gives the distribution of k_n alone", of_steps | of_block)
         _kn_flags_uncertain(flags, uncertain, method, options, json=json)
         return
-    from kncal.timestep import usual_steps
-
-    pair, v_0, e_n = flags.pair(), flags.speed(), flags.restitution()
-    steps = usual_steps(flags.law, e_n, flags.end) if steps_per_contact is None else steps_per_contact
-    data = _kn_data(pair, v_0, e_n, flags.law, flags.end, options, steps)
-    matrix = flags.matrix(method, _own(method, options))
-    block = matrix.liggghts(style, friction=friction or 0.0, steps_per_contact=steps)
-    if json:
-        show.as_json(data | {"liggghts": block})
-        return
-    _kn_print(flags.title(), data)
-    _say_block(f"{method}, {style}", block)
+    _kn_flags(flags, method, options, steps_per_contact, style, friction or 0.0, json=json)
 
 
 def _refuse_ignored(beside: str, given: Mapping[str, bool]) -> None:
@@ -147,6 +134,31 @@ def _refuse_ignored(beside: str, given: Mapping[str, bool]) -> None:
     for name, is_given in given.items():
         if is_given:
             raise InputError(f"{name} has no meaning with {beside}: leave it out")
+
+
+def _kn_flags(
+    flags: ContactFlags,
+    method: str,
+    options: dict[str, Any],
+    n: float | None,
+    style: str,
+    friction: float,
+    *,
+    json: bool,
+) -> None:
+    """Print what is to be said of the contact that the flags describe."""
+    from kncal.timestep import usual_steps
+
+    pair, v_0, e_n = flags.pair(), flags.speed(), flags.restitution()
+    steps = usual_steps(flags.law, e_n, flags.end) if n is None else n
+    data = _kn_data(pair, v_0, e_n, flags.law, flags.end, options, steps)
+    matrix = flags.matrix(method, _own(method, options))
+    block = matrix.liggghts(style, friction=friction, steps_per_contact=steps)
+    if json:
+        show.as_json(data | {"liggghts": block})
+        return
+    _kn_print(flags.title(), data)
+    _say_block(f"{method}, {style}", block)
 
 
 class _CasePair(NamedTuple):
@@ -442,35 +454,3 @@ def collide(
     for warning in data["warnings"]:
         show.say(f"  warning: {warning['message']}")
     show.say(f"picture: {out}")
-
-
-def laws(*, json: Json = False) -> None:
-    """List the contact laws and the methods for k_n, with sources and limits."""
-    from kncal.contact.registry import LAWS
-    from kncal.methods import METHODS
-
-    if json:
-        show.as_json(
-            {
-                "laws": [{"name": w.name, "title": w.title, "source": w.source, "note": w.note} for w in LAWS.values()],
-                "methods": [
-                    {k: getattr(m, k) for k in ("name", "title", "source", "keeps", "loses", "avoid")}
-                    for m in METHODS.values()
-                ],
-            }
-        )
-        return
-    show.table(
-        "Contact laws",
-        ["law", "what it is", "source"],
-        [[w.name, f"{w.title}. {w.note}", w.source] for w in LAWS.values()],
-        text=(0, 1, 2),
-        fold=True,
-    )
-    show.table(
-        "Methods for k_n",
-        ["method", "keeps equal", "does not keep", "not for"],
-        [[m.name, m.keeps, m.loses, m.avoid] for m in METHODS.values()],
-        text=(0, 1, 2, 3),
-        fold=True,
-    )

@@ -1,4 +1,4 @@
-"""``kncal cases``, ``kncal new``, ``kncal needs``, ``kncal doctor``: what there is and what a scene requires."""
+"""``kncal cases``, ``new``, ``needs``, ``doctor``, ``laws``: what there is, and what a scene requires."""
 
 from __future__ import annotations
 
@@ -101,3 +101,35 @@ def doctor(*, json: Json = False) -> int:
             fold=True,
         )
     return 4 if any(not f.ok and f.name.lower().startswith("liggghts") for f in findings) else 0
+
+
+def laws(*, json: Json = False) -> None:
+    """List the contact laws and the methods for k_n, with sources and limits."""
+    from kncal.contact.registry import LAWS
+    from kncal.methods import METHODS
+
+    if json:
+        show.as_json(
+            {
+                "laws": [{"name": w.name, "title": w.title, "source": w.source, "note": w.note} for w in LAWS.values()],
+                "methods": [
+                    {k: getattr(m, k) for k in ("name", "title", "source", "keeps", "loses", "avoid")}
+                    for m in METHODS.values()
+                ],
+            }
+        )
+        return
+    show.table(
+        "Contact laws",
+        ["law", "what it is", "source"],
+        [[w.name, f"{w.title}. {w.note}", w.source] for w in LAWS.values()],
+        text=(0, 1, 2),
+        fold=True,
+    )
+    show.table(
+        "Methods for k_n",
+        ["method", "keeps equal", "does not keep", "not for"],
+        [[m.name, m.keeps, m.loses, m.avoid] for m in METHODS.values()],
+        text=(0, 1, 2, 3),
+        fold=True,
+    )
