@@ -65,11 +65,11 @@ def load_case(case: str | Path, *, name: str | None = None, overrides: Sequence[
     """
     text, name, where = read_case(case, name)
     tables = parse_toml(text, where)
-    if not overrides:
-        return _parse(text, tables, name, where)
-    from kncal.overrides import overridden, parse_override
+    from kncal.overrides import overridden, parse_overrides
 
-    changes = [parse_override(override) for override in overrides]
+    changes = parse_overrides(overrides)
+    if not changes:
+        return _parse(text, tables, name, where)
     try:
         return _parse(text, overridden(tables, changes), name, where)
     except CaseFileError as error:
@@ -111,7 +111,7 @@ def parse_case(text: str, *, name: str, where: str = "case", tables: Mapping[str
     from kncal.case_messages import fault, placed, refusal
     from kncal.case_schema import NAME, NAME_EXPECTED, CaseTable
 
-    if not NAME.fullmatch(name):
+    if not isinstance(name, str) or not NAME.fullmatch(name):
         raise CaseFileError(f"{where}: name of the case (its folder) = {short(name)}: {NAME_EXPECTED}")
     tables = parse_toml(text, where) if tables is None else tables
     try:

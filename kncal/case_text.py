@@ -57,8 +57,8 @@ def find_case(case: str | Path) -> Path:
     What is there on disk comes before a shipped name. Raises `CaseFileError` if nothing fits, or if the file is a link
     that leads out of its folder: a stranger's case could so have a file of the user read, and shown in an error.
     """
-    given = Path(case)
     try:
+        given = Path(case)
         found = next((path for path in (given, given / CASE) if path.is_file()), None)
         if found is not None:
             home, target = found.parent.resolve(), found.resolve()
@@ -68,17 +68,21 @@ def find_case(case: str | Path) -> Path:
             return found
     except CaseFileError:
         raise
+    except TypeError:
+        raise CaseFileError(f"case = {short(case)}: expected a name or a path as text") from None
     except (OSError, ValueError) as error:
-        raise CaseFileError(f"{str(case)!r}: cannot be looked up: {error}") from error
+        why = error.strerror if isinstance(error, OSError) else error
+        raise CaseFileError(f"{short(str(case), 300)}: cannot be looked up: {why}") from error
     shipped = shipped_cases()
     if str(case) in shipped:
         return folder("cases") / str(case) / CASE
     import difflib
 
-    near = difflib.get_close_matches(str(case), shipped, n=1)
+    near = difflib.get_close_matches(str(case)[:100], shipped, n=1)
     hint = f"; did you mean {near[0]!r}?" if near else ""
     raise CaseFileError(
-        f"{str(case)!r}: no such case: expected a {CASE}, a folder with one, or one of {', '.join(shipped)}{hint}"
+        f"{short(str(case), 300)}: no such case: expected a {CASE}, a folder with one, or one of "
+        f"{', '.join(shipped)}{hint}"
     )
 
 

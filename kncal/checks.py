@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Collection
 from typing import Any, TypeVar
@@ -14,6 +15,11 @@ from kncal.errors import InputError
 Array = NDArray[np.float64]
 _T = TypeVar("_T")
 
+#: Most numbers that an argument, or arguments together, may have: all that is computed of them takes about 0.5 GiB.
+MOST_VALUES = 1_000_000
+#: Dimensions that numpy has at most.
+_DEEPEST = 64
+
 #: What may be written into solver input as a name: nothing in it can be a command.
 NAME_PATTERN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 
@@ -24,23 +30,41 @@ def as_floats(name: str, value: ArrayLike) -> Array:
     Raises
     ------
     InputError
-        If a value is not a number, complex, boolean, NaN, infinite or masked, lists are ragged, or there is none.
+        If a value is not a number, complex, boolean, NaN, infinite or masked, lists are ragged, there is none, or more
+        than `MOST_VALUES`.
     """
+    if (count := _count(value)) > MOST_VALUES:
+        raise InputError(f"{name} has {count:.3g} values: expected at most {MOST_VALUES:,}; give them in parts")
     if np.ma.is_masked(value):
         raise InputError(f"{name} has masked elements: expected a number in each; leave the masked ones out")
     try:
         given = np.asarray(value)
-    except ValueError:
-        raise InputError(f"{name} = {value!r}: expected rows of equal length") from None
+    except Exception as error:  # ragged lists; an object of somebody else may raise anything
+        raise InputError(f"{name} = {short(value)}: expected a number, or rows of equal length of them") from error
     if given.size == 0:
         raise InputError(f"{name} has shape {given.shape}: expected at least one value")
     if given.dtype.kind not in "iuf":
-        raise InputError(f"{name} = {value!r}: expected a real number (or an array of them), in SI units")
-    numbers = given.astype(np.float64)
+        raise InputError(f"{name} = {short(value)}: expected a real number (or an array of them), in SI units")
+    with np.errstate(over="ignore"):  # of longer floats; told below
+        numbers = given.astype(np.float64)
     bad = ~np.isfinite(numbers)
     if bad.any():
         raise InputError(f"{name} = {_first(numbers, bad)}: expected a finite number")
     return numbers
+
+
+def _count(value: object) -> float:
+    """Number of values in an array or in lists in lists (judged by the first of each), without making an array."""
+    size = getattr(value, "size", None)
+    if isinstance(size, int):
+        return size
+    count = 1.0
+    for _ in range(_DEEPEST):
+        if not isinstance(value, (list, tuple, range)) or not value:
+            break
+        count *= float(len(value)) if not isinstance(value, range) else (value[-1] - value[0]) / value.step + 1.0
+        value = value[0]
+    return count
 
 
 def in_range(
@@ -90,14 +114,24 @@ def common_shape(**given: Any) -> tuple[int, ...]:
     Raises
     ------
     InputError
-        Naming the arguments that are arrays, with their shapes, if they do not fit together.
+        Naming the arguments that are arrays, with their shapes, if they do not fit together or are too many.
     """
     shapes = {name: np.shape(value) for name, value in given.items()}
+    seen = ", ".join(f"{name} {shape}" for name, shape in shapes.items() if shape)
     try:
-        return np.broadcast_shapes(*shapes.values())
+        shape = np.broadcast_shapes(*shapes.values())
     except ValueError:
-        seen = ", ".join(f"{name} {shape}" for name, shape in shapes.items() if shape)
         raise InputError(f"shapes do not fit together: {seen}; expected shapes that broadcast") from None
+    if (count := math.prod(shape)) > MOST_VALUES:
+        raise InputError(f"{seen} make {count:.3g} values together: expected at most {MOST_VALUES:,}; split them")
+    return shape
+
+
+def whole(name: str, value: object, low: int, high: int) -> int:
+    """Return ``value`` as an int; refuse what is not a whole number in [low, high]."""
+    if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or not low <= value <= high:
+        raise InputError(f"{name} = {short(value)}: expected a whole number from {low} to {high}")
+    return int(value)
 
 
 def positive_result(what: str, value: ArrayLike, arguments: str) -> None:
@@ -112,7 +146,7 @@ def instance(name: str, value: object, kind: type[_T], source: str) -> _T:
     """Return ``value`` if it is a ``kind``; else `InputError`, saying what makes one (``source``)."""
     if isinstance(value, kind):
         return value
-    raise InputError(f"{name} = {value!r}: expected a {kind.__name__} ({source})")
+    raise InputError(f"{name} = {short(value)}: expected a {kind.__name__} ({source})")
 
 
 def plain_name(name: str, value: object) -> str:
@@ -131,15 +165,19 @@ def one_of(name: str, value: object, allowed: Collection[str]) -> str:
         return value
     import difflib
 
-    near = difflib.get_close_matches(str(value)[:100], list(allowed), n=1)
+    near = difflib.get_close_matches(value[:100], list(allowed), n=1) if isinstance(value, str) else []
     hint = f"; did you mean {near[0]!r}?" if near else ""
     raise InputError(f"{name} = {short(value)}: expected one of {', '.join(sorted(allowed))}{hint}")
 
 
-def short(value: object) -> str:
-    """Return a value as Python writes it, cut to 70 characters; harmless on a terminal, whoever wrote it."""
-    text = repr(value)  # escapes control characters and line separators
-    return text if len(text) <= 70 else f"{text[:67]}..."
+def short(value: object, most: int = 70) -> str:
+    """Return a value as Python writes it, on a line of ``most`` characters; harmless on a terminal, whoever wrote it."""
+    try:
+        text = repr(value)  # escapes control characters and line separators
+    except Exception:  # a number of too many digits, lists too deep, an object that cannot say what it is
+        text = f"<{type(value).__name__}>"
+    text = " ".join(text.split()) if "\n" in text else text
+    return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
 def _first(numbers: Array, bad: NDArray[np.bool_]) -> str:

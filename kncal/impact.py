@@ -11,10 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kncal.checks import Array, in_range, one_of, single
+from kncal.checks import MOST_VALUES, Array, in_range, one_of, single, whole
 from kncal.contact.base import ENDS, ContactLaw
 from kncal.contact.registry import get_law
-from kncal.errors import InputError
 from kncal.material import FloatOrArray, plain
 
 #: What an e_n out of range is told.
@@ -95,11 +94,10 @@ def impact_path(law: str | ContactLaw, e_n: float, end: str = "overlap", n: int 
     Raises
     ------
     InputError
-        As `dimensionless_impact`; also if e_n is not a single number or n is not an integer of at least 2.
+        As `dimensionless_impact`; also if e_n is not a single number or n is not a whole number from 2 to a million.
     """
     e_n = single("e_n", e_n)
-    if isinstance(n, bool) or not isinstance(n, (int, np.integer)) or n < 2:
-        raise InputError(f"n = {n!r}: expected an integer of at least 2")
+    n = whole("n", n, 2, MOST_VALUES)
     chosen = get_law(law)
     impact = dimensionless_impact(chosen, e_n, end)
     C, e = float(impact.C), float(impact.e_n)

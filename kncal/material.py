@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kncal.checks import Array, common_shape, in_range, instance
+from kncal.checks import Array, common_shape, in_range, instance, positive
 
 FloatOrArray = float | Array
 
@@ -64,6 +64,7 @@ class Material:  # noqa: PLW1641 - the dataclass makes its hash
         if self.yield_strength is not None:
             checked["yield_strength"] = in_range("yield_strength", self.yield_strength, 1.0, 1e13, unit="Pa")
         common_shape(**checked)
+        instance("name", self.name, str, "a short text")
         for key, value in checked.items():
             object.__setattr__(self, key, plain(value))
 
@@ -124,6 +125,12 @@ class Pair:
     yield_strength: FloatOrArray | None
     size_ratio: FloatOrArray
     is_wall: bool
+
+    def __post_init__(self) -> None:
+        numbers = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "is_wall"}
+        for name, value in numbers.items():
+            if value is not None or name != "yield_strength":
+                positive(name, value)
 
     @property
     def shape(self) -> tuple[int, ...]:

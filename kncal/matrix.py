@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from kncal.calibration import COLUMNS, Calibration, calibrate
-from kncal.checks import Array, in_range, one_of, plain_name, single
+from kncal.checks import Array, in_range, one_of, plain_name, short, single
 from kncal.errors import InputError, KncalError
 from kncal.material import Material, pair, wall_pair
 
@@ -22,6 +22,11 @@ if TYPE_CHECKING:
 
 #: What `PairMatrix.matrix` serves.
 QUANTITIES = (*COLUMNS, "gamma_n", "zeta", "v_0", "e_n")
+
+#: Most particle types and walls together: there are half as many pairs as its square.
+MOST_TYPES = 100
+#: Pairs that an error lists.
+_SHOWN = 20
 
 #: A value for every pair, or one per pair of names (in any order; missing and unknown pairs are an error).
 PerPair = float | Mapping[tuple[str, str], float]
@@ -57,7 +62,7 @@ class PairMatrix:
         """Return the calibration of two names, in any order."""
         if (key := _known(names, self.calibrations)) is not None:
             return self.calibrations[key]
-        raise InputError(f"no contact {names!r}: expected two names of {_listed(self.calibrations)}")
+        raise InputError(f"no contact {short(names)}: expected two names of {_listed(self.calibrations)}")
 
     def matrix(self, quantity: str) -> Array:
         """Return a number of the calibrations ("k_n", "eta_n", "gamma_n", "t_c" ...) as a symmetric matrix.
@@ -179,18 +184,21 @@ def calibrate_matrix(
     ------
     InputError
         As `calibrate`, with the names of the pair; if no particle type is given; if a name occurs twice or could not
-        be written into a deck; if a mapping lacks a pair, names an unknown one, or names one twice.
+        be written into a deck; for more than `MOST_TYPES` types; if a mapping lacks a pair, names an unknown one, or
+        names one twice.
     ValidityError
         As `calibrate`, with the names of the pair.
     """
     walls = {} if walls is None else walls
     for argument, given in (("particles", particles), ("walls", walls)):
         if not isinstance(given, Mapping):
-            raise InputError(f"{argument} = {given!r}: expected a mapping from names")
+            raise InputError(f"{argument} = {short(given)}: expected a mapping from names")
         for name in given:
             plain_name(f"name in {argument}", name)
     if not particles:
         raise InputError("particles = {}: expected at least one particle type")
+    if (types := len(particles) + len(walls)) > MOST_TYPES:
+        raise InputError(f"{types} particle types and walls: expected at most {MOST_TYPES}, each a type of a deck")
     if both := sorted(set(particles) & set(walls)):
         raise InputError(f"name {both[0]!r} is a particle type and a wall: expected distinct names")
     bodies = {name: _body(name, given) for name, given in particles.items()}
@@ -219,7 +227,7 @@ def calibrate_matrix(
 def _body(name: str, given: object) -> tuple[Material, float]:
     if isinstance(given, tuple) and len(given) == 2 and isinstance(given[0], Material):
         return given[0], single(f"radius of {name}", given[1])
-    raise InputError(f"particles[{name!r}] = {given!r}: expected (Material, radius [m])")
+    raise InputError(f"particles[{name!r}] = {short(given)}: expected (Material, radius [m])")
 
 
 def _per_pair(argument: str, given: PerPair, keys: Collection[tuple[str, str]]) -> dict[tuple[str, str], float]:
@@ -230,7 +238,7 @@ def _per_pair(argument: str, given: PerPair, keys: Collection[tuple[str, str]]) 
     for names, value in given.items():
         key = _known(names, keys)
         if key is None:
-            raise InputError(f"{argument}: {names!r} is no pair that can touch: expected one of {_listed(keys)}")
+            raise InputError(f"{argument}: {short(names)} is no pair that can touch: expected one of {_listed(keys)}")
         number = single(f"{argument} of {key[0]}–{key[1]}", value)
         if values.setdefault(key, number) != number:
             raise InputError(f"{argument} has two values for the pair {key[0]}–{key[1]}: expected one")
@@ -246,4 +254,5 @@ def _known(names: object, keys: Collection[tuple[str, str]]) -> tuple[str, str] 
 
 
 def _listed(keys: Collection[tuple[str, str]]) -> str:
-    return ", ".join(f"{a}–{b}" for a, b in keys)
+    some = ", ".join(f"{a}–{b}" for a, b in list(keys)[:_SHOWN])
+    return some if len(keys) <= _SHOWN else f"{some} and {len(keys) - _SHOWN} more"

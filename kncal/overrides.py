@@ -15,7 +15,7 @@ from enum import Enum
 from typing import Any
 
 from kncal.case_text import toml_key, toml_value
-from kncal.checks import short
+from kncal.checks import instance, short
 from kncal.errors import CaseFileError, InputError
 
 _BARE_WORD = re.compile(r"[A-Za-z][A-Za-z0-9._-]*")
@@ -89,6 +89,13 @@ def parse_override(text: str) -> Override:
         f"{short(text)}: {short(given)} is no TOML value: expected a number without unit, true, false, a word, "
         '[a, list] or "text in quotes" (quoted once more for the shell)'
     )
+
+
+def parse_overrides(texts: Sequence[str]) -> list[Override]:
+    """Return what each of ``texts`` says, see `parse_override`; `InputError` if it is no list of them."""
+    if isinstance(texts, (str, bytes)) or not isinstance(texts, Sequence):
+        raise InputError(f"overrides = {short(texts)}: expected a list of texts KEY=VALUE")
+    return [parse_override(instance("override", text, str, "KEY=VALUE")) for text in texts]
 
 
 def overridden(tables: Mapping[str, Any], overrides: Iterable[Override]) -> dict[str, Any]:

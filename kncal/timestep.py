@@ -39,6 +39,8 @@ PHASES = 24
 #: ... for each of these changes of N: a contact of a scene rarely lasts a whole number of steps, and the error is a
 #: sawtooth of the fraction left over, whose peaks a coarser sample misses.
 OFFSETS = np.linspace(-0.5, 0.5, 21)
+#: Frames of a series above which fewer of those changes are taken, and most of all series together (0.5 GiB).
+_FINE, _MOST_FRAMES = 5_000, 5_000_000
 
 
 def contact_time(k_n: ArrayLike, m_eff: ArrayLike, e_n: ArrayLike, end: str = "overlap") -> FloatOrArray:
@@ -343,9 +345,12 @@ def _predict(law: ContactLaw, e_n: float, n: float, end: str) -> PredictedError:
         "delta_max": float(impact.x_max),
         "delta_mean": float(impact.x_mean * impact.tau_c + 0.5 * impact.x_end * coasting) / duration,
     }
-    dt = np.repeat(float(impact.tau_c) / (n + OFFSETS), PHASES)
-    most = math.ceil(n * 4.0 * max(duration / float(impact.tau_c), 1.0) + 50)  # a strong damping creeps out for long
-    times, x, v = _verlet(law, float(impact.C), dt, most, end)
+    # of a long series fewer changes of N are taken: its error is small, its memory is not
+    frames = n * max(duration / float(impact.tau_c), 1.0)
+    offsets = OFFSETS[:: math.ceil(min(frames / _FINE, len(OFFSETS)))]
+    dt = np.repeat(float(impact.tau_c) / (n + offsets), PHASES)
+    # a strong damping creeps out for long
+    times, x, v = _verlet(law, float(impact.C), dt, math.ceil(min(4.0 * frames + 50, _MOST_FRAMES / len(dt))), end)
     measured = measure_contact(times, x, v)
     found = {
         "e_n": measured.v_out / measured.v_in,
@@ -370,7 +375,7 @@ def _verlet(law: ContactLaw, C: float, dt: Array, most: int, end: str) -> tuple[
     Returns times, overlaps and rates, each (runs, frames); ``most``: steps after which it is given up.
     """
     # nearly the whole range from 0 to 1: the worst phase of a force that jumps at touch is at its ends
-    x: Array = -np.tile(np.linspace(1e-3, 1.0 - 1e-3, PHASES), len(OFFSETS)) * dt
+    x: Array = -np.tile(np.linspace(1e-3, 1.0 - 1e-3, PHASES), len(dt) // PHASES) * dt
     v = np.ones_like(dt)
     a = np.zeros_like(dt)
     xs, vs = [x - dt, x], [v, v]
@@ -389,4 +394,7 @@ def _verlet(law: ContactLaw, C: float, dt: Array, most: int, end: str) -> tuple[
             xs.append(x + dt * v)
             vs.append(v)
             return dt[:, None] * np.arange(-1.0, len(xs) - 1.0), np.array(xs).T, np.array(vs).T
-    raise DiscreteContactError("steps_per_contact: the discrete contact does not end; expected more steps per contact")
+    raise DiscreteContactError(
+        f"steps_per_contact: the discrete contact does not end in {most} steps; expected more steps per contact, or a "
+        "larger e_n"
+    )

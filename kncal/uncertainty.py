@@ -17,8 +17,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from kncal.calibration import calibrate
-from kncal.checks import Array, positive
-from kncal.errors import InputError
+from kncal.checks import Array, as_floats, in_range, instance, one_of, short, single, whole
+from kncal.errors import InputError, KncalError
 from kncal.impact_speeds import Estimate, ImpactSpeeds
 from kncal.material import Material, Pair, pair
 
@@ -28,6 +28,10 @@ INPUTS = ("young", "poisson", "density", "radius", "e_n", "v_0")
 _BOUNDS = {"poisson": (0.0, 0.5), "e_n": (1e-3, 1.0)}
 #: Shares whose quantiles are told.
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+#: Standard deviations in percent that mean something: the tails of 1000 % are a factor of 100 away.
+_PERCENTS = (1e-9, 1e3)
+#: Most evaluations: a second or two.
+MOST_SAMPLES = 262_144
 _SCRAMBLES = 8
 _PERCENT = re.compile(r"([0-9.eE+-]+)\s*%")
 _EXPECTED = "expected 5% (standard deviation), LOW:HIGH (uniform) or log:LOW:HIGH (log-uniform)"
@@ -103,11 +107,9 @@ def distribution(name: str, text: str, value: float | None) -> Distribution:
     from scipy import stats
 
     text = text.strip()
-    if name not in INPUTS:
-        raise InputError(f"{name}: expected one of {', '.join(INPUTS)}")
+    one_of("name", name, INPUTS)
     if found := _PERCENT.fullmatch(text):
-        share = _number(name, text, found[1]) / 100.0
-        positive(f"{name} [%]", 100.0 * share)
+        share = single(f"{name} [%]", in_range(f"{name} [%]", _number(name, text, found[1]), *_PERCENTS)) / 100.0
         if value is None:
             raise InputError(f"{name} = {text}: a percentage of what? Expected a value of {name} too, or LOW:HIGH")
         if name in _BOUNDS:
@@ -120,9 +122,9 @@ def distribution(name: str, text: str, value: float | None) -> Distribution:
     kind, _, ends = text.rpartition("log:")
     low_text, colon, high_text = ends.partition(":")
     if kind or not colon:
-        raise InputError(f"{name} = {text}: {_EXPECTED}")
+        raise InputError(f"{name} = {short(text)}: {_EXPECTED}")
     low, high = _number(name, text, low_text), _number(name, text, high_text)
-    if not low < high or (text.startswith("log:") and low <= 0.0):
+    if not low < high or not math.isfinite(high - low) or (text.startswith("log:") and low <= 0.0):
         raise InputError(f"{name} = {text}: expected a lower end, above 0 for log, and a higher one")
     return stats.loguniform(low, high) if text.startswith("log:") else stats.uniform(low, high - low)
 
@@ -133,7 +135,7 @@ def _number(name: str, text: str, part: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise InputError(f"{name} = {text}: {_EXPECTED}")
+        raise InputError(f"{name} = {short(text)}: {_EXPECTED}")
     return value
 
 
@@ -166,39 +168,41 @@ def propagate(
     law, method, end, method_options
         As in `kncal.calibrate`.
     samples : int
-        Evaluations for the quantiles; as many per input for the indices.
+        Evaluations for the quantiles, 1 to 262 144 (at least 128 are made); as many per input for the indices.
     seed : int
-        Of the scrambling.
+        Of the scrambling, 0 to 2^63 - 1.
 
     Raises
     ------
     InputError
-        If nothing is uncertain, an input is missing, or a distribution leaves the range of its input.
+        If nothing is uncertain, an input is missing or is no single number, a distribution leaves the range of its
+        input, or ``pair_of`` or a ``ppf`` fails.
     ValidityError
         If an overlap of some sample reaches the radius.
     """
     from scipy.stats import qmc, sobol_indices
 
+    if not isinstance(uncertain, Mapping):
+        raise InputError(f"uncertain = {short(uncertain)}: expected a mapping from names of inputs")
     if not uncertain:
         raise InputError(f"nothing is uncertain: expected at least one of {', '.join(INPUTS)}")
-    plain: dict[str, float | None] = {
-        "young": float(material.young), "poisson": float(material.poisson), "density": float(material.density),
-        "radius": radius, "e_n": e_n, "v_0": v_0,
-    }  # fmt: skip
+    plain = _plain(instance("material", material, Material, "made by kncal.Material"), radius, e_n, v_0)
     names = tuple(uncertain)
-    laws = {
-        name: distribution(name, given, plain.get(name)) if isinstance(given, str) else given
-        for name, given in uncertain.items()
-    }
+    laws = {name: _law(name, given, plain) for name, given in uncertain.items()}
     for name in ("v_0", "e_n"):
         if plain[name] is None and name not in laws:
             raise InputError(f"{name}: missing: expected a value or a distribution")
+    for name, value in method_options.items():
+        if not isinstance(value, str):
+            single(name, value)
+    whole("samples", samples, 1, MOST_SAMPLES)
+    whole("seed", seed, 0, 2**63 - 1)
 
     def k_n(values: Array) -> Array:
         now = plain | dict(zip(names, values, strict=True))
         sampled = replace(material, **{key: now[key] for key in ("young", "poisson", "density")})
         found = calibrate(
-            pair_of(sampled, now["radius"]),
+            _own("pair_of", pair_of, sampled, now["radius"]),
             v_0=now["v_0"],
             e_n=now["e_n"],
             law=law,
@@ -206,6 +210,8 @@ def propagate(
             end=end,
             **method_options,
         ).k_n
+        if np.size(found) not in (1, values[0].size):
+            raise InputError(f"pair_of gives a pair of shape {np.shape(found)}: expected {values.shape[1:]}, or ()")
         return np.broadcast_to(np.asarray(found, dtype=np.float64), values.shape[1:])
 
     each = 1 << max(round(math.log2(samples / _SCRAMBLES)), 4)
@@ -230,6 +236,47 @@ def propagate(
         for key in ("first_order", "total_order")
     )
     return Propagation(quantiles=quantiles, first_order=first, total=total, samples=each * _SCRAMBLES)
+
+
+def _plain(material: Material, radius: float, e_n: float | None, v_0: float | None) -> dict[str, float | None]:
+    """The values of all `INPUTS`, single numbers."""
+    given = {name: getattr(material, name) for name in ("young", "poisson", "density")}
+    given |= {"radius": radius, "e_n": e_n, "v_0": v_0}
+    return {name: None if value is None else single(name, value) for name, value in given.items()}
+
+
+@dataclass(frozen=True)
+class _Checked:
+    """A distribution of somebody else's making, whose values are checked."""
+
+    name: str
+    given: Distribution
+
+    def ppf(self, q: Any, /) -> Array:
+        """Return its quantiles; `InputError` if they are no finite numbers of the shape of ``q``."""
+        values = as_floats(f"quantiles of {self.name}", _own(f"the ppf of {self.name}", self.given.ppf, q))
+        if values.shape != np.shape(q):
+            raise InputError(f"quantiles of {self.name} have shape {values.shape}: expected {np.shape(q)}")
+        return values
+
+
+def _law(name: str, given: object, plain: Mapping[str, float | None]) -> Distribution:
+    one_of("uncertain", name, INPUTS)
+    if isinstance(given, str):
+        return _Checked(name, distribution(name, given, plain[name]))
+    if not callable(getattr(given, "ppf", None)):
+        raise InputError(f"{name} = {short(given)}: {_EXPECTED}, or a distribution with a method ppf")
+    return _Checked(name, given)  # type: ignore[arg-type]
+
+
+def _own(what: str, function: Callable[..., Any], *arguments: Any) -> Any:
+    """Call a function of the user's; whatever it raises becomes an `InputError` that names it."""
+    try:
+        return function(*arguments)
+    except KncalError:
+        raise
+    except Exception as error:
+        raise InputError(f"{what}: {type(error).__name__}: {error}: expected a function that works") from error
 
 
 def _spread(values: list[float]) -> Estimate:

@@ -45,7 +45,7 @@ def parse_bed(text: str, *, name: str, where: str = "case", tables: Mapping[str,
     from kncal.case_messages import fault, placed, refusal
     from kncal.case_schema import NAME, NAME_EXPECTED
 
-    if not NAME.fullmatch(name):
+    if not isinstance(name, str) or not NAME.fullmatch(name):
         raise CaseFileError(f"{where}: name of the case (its folder) = {short(name)}: {NAME_EXPECTED}")
     tables = parse_toml(text, where) if tables is None else tables
     try:

@@ -19,10 +19,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import numpy as np
 
-from kncal.checks import Array
+from kncal.checks import Array, in_range, instance, single
 from kncal.contact.base import E_MIN, ContactLaw, Impact, log_loss
 from kncal.contact.table import POWER, Table, nodes
 from kncal.errors import InputError, KncalError
@@ -47,12 +48,11 @@ class HertzDashpot(ContactLaw):
     """
 
     def __post_init__(self) -> None:
-        p = self.damping_exponent
-        if p is None or not 0.25 <= p <= 1.25:
-            raise InputError(
-                f"damping_exponent = {p!r} of law {self.name!r}: expected a value in [0.25, 1.25]; "
-                "derive from ContactLaw for another dashpot"
-            )
+        instance("name", self.name, str, "a short text")
+        hint = "derive from ContactLaw for another dashpot"
+        given: Any = self.damping_exponent  # None, too, is refused
+        p = single("damping_exponent", in_range("damping_exponent", given, 0.25, 1.25, hint=hint))
+        object.__setattr__(self, "damping_exponent", p)
         if self.stiffness_exponent != 1.5:
             raise InputError(
                 f"stiffness_exponent = {self.stiffness_exponent!r} of law {self.name!r}: expected 1.5 (Hertz); "
