@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from types import MappingProxyType
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kncal.calibration import PAIR_SOURCE, SPEEDS, Calibration, reference_stiffness
-from kncal.checks import Array, common_shape, in_range, instance, one_of, positive, positive_result, single
+from kncal.checks import Array, common_shape, in_range, instance, one_of, positive, positive_result, shown, single
 from kncal.contact.base import ENDS, ContactLaw
 from kncal.contact.registry import get_law
 from kncal.contact.walton_braun import WaltonBraun
@@ -307,24 +307,25 @@ def usual_steps(law: str | ContactLaw, e_n: float, end: str = "overlap") -> floa
 
 
 def smallest_restitution(
-    steps_per_contact: float = USUAL_STEPS, laws: Iterable[str | ContactLaw] = ("linear",), end: str = "overlap"
+    steps_per_contact: float = USUAL_STEPS, laws: Collection[str | ContactLaw] = ("linear",), end: str = "overlap"
 ) -> float:
     """Return the smallest e_n, of two digits, that N steps per contact get right to `RESOLVED_ERROR` for all ``laws``.
 
     What to take in the place of e_n = 0, which no finite damping gives. 1 if there is none below.
     """
     ladder = [k / 1000.0 for k in range(1, 100)] + [k / 100.0 for k in range(10, 100)]
-    names = list(laws)
+    if isinstance(laws, str) or not isinstance(laws, Collection):
+        raise InputError(f"laws = {shown(laws)}: expected a list of contact laws")
 
     def resolved(e_n: float) -> bool:
-        found = (restitution_error(law, e_n, steps_per_contact, end) for law in names)
+        found = (restitution_error(law, e_n, steps_per_contact, end) for law in laws)
         return all(error is None or error <= RESOLVED_ERROR for error in found)
 
     k = bisect_left(ladder, True, key=resolved)  # the error falls as e_n grows
     return ladder[k] if k < len(ladder) else 1.0
 
 
-def instead_of_zero(steps_per_contact: float, laws: Iterable[str | ContactLaw], end: str = "overlap") -> str:
+def instead_of_zero(steps_per_contact: float, laws: Collection[str | ContactLaw], end: str = "overlap") -> str:
     """Return what to do where e_n = 0 was asked for, in words."""
     least = smallest_restitution(steps_per_contact, laws, end)
     return (

@@ -121,6 +121,8 @@ CALLS: dict[Callable[..., Any], dict[str, Any]] = {
         "calibration": kncal.calibrate(BEADS, v_0=0.5, e_n=0.9), "steps_per_contact": 50.0, "contacts": 12.0,
     },
     kncal.predict_error: {"law": "tsuji", "e_n": 0.9, "steps_per_contact": 10.0, "end": "force"},
+    kncal.advised_steps: {"law": "tsuji", "e_n": 0.9, "end": "force", "error": 0.05},
+    kncal.smallest_restitution: {"steps_per_contact": 50.0, "laws": ["linear"], "end": "overlap"},
     kncal.dimensionless_impact: {"law": "tsuji", "e_n": 0.9, "end": "force"},
     kncal.propagate: {
         "uncertain": {"young": "5%"}, "material": GLASS, "radius": 1e-3, "v_0": 0.5, "e_n": 0.9, "pair_of": kncal.pair,
