@@ -171,7 +171,7 @@ def one_of(name: str, value: object, allowed: Collection[str]) -> str:
 
 
 def short(value: object, most: int = 70) -> str:
-    """Return a value as Python writes it, on a line of ``most`` characters; harmless on a terminal, whoever wrote it."""
+    """Return a value as Python writes it, on a line of ``most`` characters, harmless on a terminal."""
     try:
         text = repr(value)  # escapes control characters and line separators
     except Exception:  # a number of too many digits, lists too deep, an object that cannot say what it is

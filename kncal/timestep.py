@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kncal.calibration import PAIR_SOURCE, SPEEDS, Calibration, reference_stiffness
-from kncal.checks import Array, common_shape, in_range, instance, one_of, positive, positive_result, shown, single
+from kncal.checks import Array, common_shape, in_range, instance, one_of, positive, positive_result, short, single
 from kncal.contact.base import ENDS, ContactLaw
 from kncal.contact.registry import get_law
 from kncal.contact.walton_braun import WaltonBraun
@@ -315,7 +315,7 @@ def smallest_restitution(
     """
     ladder = [k / 1000.0 for k in range(1, 100)] + [k / 100.0 for k in range(10, 100)]
     if isinstance(laws, str) or not isinstance(laws, Collection):
-        raise InputError(f"laws = {shown(laws)}: expected a list of contact laws")
+        raise InputError(f"laws = {short(laws)}: expected a list of contact laws")
 
     def resolved(e_n: float) -> bool:
         found = (restitution_error(law, e_n, steps_per_contact, end) for law in laws)
