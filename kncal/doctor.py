@@ -13,7 +13,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -24,6 +23,7 @@ from kncal.errors import KncalError
 from kncal.mpi import MPIRUN, run_ranks
 from kncal.resources import folder
 from kncal.runner import solver_environment
+from kncal.scratch import scratch
 
 #: Seconds that a solver may take to say its version (it takes about one), and rendering to draw one sphere.
 SOLVER_LIMIT = 5.0
@@ -251,8 +251,7 @@ def _two_ranks() -> str:
     solver = shutil.which("liggghts")
     command = ("true",) if solver is None else (solver, "-log", "none")
     try:
-        with tempfile.TemporaryDirectory(prefix="kncal-") as name:
-            place = Path(name)
+        with scratch() as place:
             start = run_ranks(command, 2, oversubscribe=True, cwd=place, log=place / "log", timeout=SOLVER_LIMIT)
     except (KncalError, OSError) as error:
         return str(error)
@@ -339,9 +338,9 @@ def _shipped(name: str, pattern: str, needed_for: str) -> Finding:
 
 def _temporary_folder() -> Finding:
     try:
-        with tempfile.TemporaryDirectory(prefix="kncal-") as place:
-            Path(place, "probe").write_text("probe", encoding="utf-8")
-            found, ok = str(Path(place).parent), True
+        with scratch() as place:
+            (place / "probe").write_text("probe", encoding="utf-8")
+            found, ok = str(place.parent), True
     except OSError as error:
         found, ok = str(error), False
     return Finding(

@@ -47,6 +47,7 @@ from kncal.records import (
     read_record,
 )
 from kncal.scene import Scene
+from kncal.scratch import sweep_parts
 
 CASE, REPORT = "case.toml", "report"
 #: Rows of a run in the table of its sweep (see `kncal.sweep.rows`).
@@ -79,6 +80,8 @@ def case_folder(
     with locked(out) as descriptor:
         _check_ours(out)
         sign(descriptor)
+        for folder in (out, *(out / kind for kind in KINDS), out / REPORT):
+            sweep_parts(folder, (*OURS, STARTED, RESULT))
         if (out / MANIFEST).is_file():
             same = _same_case(scene, out)
             if keep and same:

@@ -6,17 +6,16 @@ what is special about it.
 
 from __future__ import annotations
 
-import fcntl
 import os
 import shutil
-import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 from kncal.errors import InputError
 from kncal.runner import ALONE, ProcessResult, run_process, solver_environment
+from kncal.scratch import held_scratch
 
 MPIRUN = "mpirun"
 MISSING = "several ranks need Open MPI (no program 'mpirun' on PATH): apt-get install openmpi-bin, or one rank"
@@ -139,39 +138,10 @@ def _start(ranks: int, oversubscribe: bool) -> tuple[str, ...]:
 def _shared_memory() -> Iterator[tuple[Path | None, tuple[int, ...]]]:
     """Give a folder for the memory that ranks share, and descriptors that hold it; it is removed whatever happens.
 
-    Open MPI leaves its files behind if it is killed. A folder that a killed kncal left is removed by the next run: it
-    is held by a kernel lock, which ends with the processes that have its descriptor.
+    Open MPI leaves its files behind if it is killed; see `kncal.scratch`.
     """
     if not os.access(_SHARED, os.W_OK):
         yield None, ()
         return
-    for old in _SHARED.glob(f"{_PREFIX}*"):
-        if (descriptor := _hold(old)) is not None:
-            shutil.rmtree(old, ignore_errors=True)
-            os.close(descriptor)
-    while True:
-        folder = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=_SHARED))
-        descriptor = _hold(folder)
-        if descriptor is not None and folder.exists():
-            break
-        if descriptor is not None:  # another run took it for a leftover before it was held
-            os.close(descriptor)
-    try:
-        yield folder, (descriptor,)
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-        os.close(descriptor)
-
-
-def _hold(folder: Path) -> int | None:
-    """Lock a folder of ours and return its descriptor; None if it is held, another user's, or no folder."""
-    try:
-        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
-    except OSError:
-        return None
-    if os.fstat(descriptor).st_uid == os.geteuid():
-        with suppress(OSError):
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return descriptor
-    os.close(descriptor)
-    return None
+    with held_scratch(_SHARED, _PREFIX) as held:
+        yield held

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +17,7 @@ from kncal.io.tables import write_csv, write_json, write_text
 from kncal.methods import get_method
 from kncal.metrics import metric_text
 from kncal.scene import ContactChoice
+from kncal.scratch import drawn_aside
 from kncal.templating import Page
 from kncal.units import percent, quantity
 
@@ -110,10 +110,8 @@ def write_report(
     folder.mkdir(parents=True, exist_ok=True)
     accuracy = _with_cost(error_table, comparison)
     # drawn aside and moved, so that each is whole and no link in the folder is followed
-    with tempfile.TemporaryDirectory(dir=folder, prefix=".figures-") as drawn:
-        figures = draw_figures(comparison, kn_curves, accuracy, Path(drawn))
-        for picture in Path(drawn).iterdir():
-            picture.replace(folder / picture.name)
+    with drawn_aside(folder) as drawn:
+        figures = draw_figures(comparison, kn_curves, accuracy, drawn)
     write_json(folder / "comparison.json", {**comparison.to_dict(), "provenance": dict(provenance)})
     files = ["comparison.json"]
     for name, frame in (

@@ -9,7 +9,6 @@ import os
 import shutil
 import signal
 import subprocess
-import tempfile
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -20,6 +19,7 @@ from kncal.awake import awake
 from kncal.checks import positive
 from kncal.errors import InputError, RunError
 from kncal.io.text import MAX_LINE, decode_line
+from kncal.scratch import held_scratch
 from kncal.stopping import check_stop, shielded_start
 
 #: The states a process can end in.
@@ -145,10 +145,10 @@ def run_process(
     try:
         # Isolated programs of one rank share the name of Open MPI's session folder: the first that ends would remove
         # it under another that is just starting.
-        with tempfile.TemporaryDirectory(prefix="kncal-", ignore_cleanup_errors=True) as session:
-            environment = {**(solver_environment() if env is None else env), "OMPI_MCA_orte_tmpdir_base": session}
+        with held_scratch() as (session, holding):
+            environment = {**(solver_environment() if env is None else env), "OMPI_MCA_orte_tmpdir_base": str(session)}
             output = _Output(descriptor, on_line)
-            child = _start(command, cwd, environment, descriptor, pass_fds)
+            child = _start(command, cwd, environment, descriptor, (*pass_fds, *holding))
             if child is None:
                 return _result("not_installed", None, None, 0.0, begin, output, command)
             status, code, cpu, stopped = _watch(child, output, deadline, grace)

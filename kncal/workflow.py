@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import math
 import shutil
-import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
@@ -40,6 +39,7 @@ from kncal.observe import observe
 from kncal.planning import plan
 from kncal.records import MANIFEST, RESULT
 from kncal.scene import Scene
+from kncal.scratch import scratch
 from kncal.started import started
 
 #: Engines by name; liggghts-hooke lets LIGGGHTS find the stiffness itself (cases with method strain_energy only).
@@ -90,8 +90,7 @@ def _rendered(
     kinds = tuple(one_of("model", kind, KINDS) for kind in kinds)
     models = plan(scene, kinds)
     profile = engine.profile()
-    with tempfile.TemporaryDirectory(prefix="kncal-") as name:
-        draft = Path(name)
+    with scratch() as draft:
         for kind, model in models.items():
             (draft / kind).mkdir()
             engine.render(model, draft / kind)

@@ -8,7 +8,6 @@ import json
 import logging
 import math
 import os
-import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,6 +23,7 @@ from kncal.checks import Array, one_of
 from kncal.errors import InputError, ReadError, RunError
 from kncal.io.arrays import read_npz
 from kncal.planning import MOST_STEPS
+from kncal.scratch import replacing, scratch, sweep_parts
 from kncal.stopping import check_stop
 
 PACKINGS = ("settled", "lattice", "given")
@@ -129,6 +129,7 @@ def packing(model: BedModel, cache_dir: Path | None = None) -> Array:
         return _settle(model, start)
     cache_dir.mkdir(parents=True, exist_ok=True)
     path = cache_dir / f"{_key(model, start)}.npz"
+    sweep_parts(cache_dir)
     with _only_one(path):  # many runs of a sweep may want the same packing at once
         kept = _load(path, scene)
         if kept is not None:
@@ -179,7 +180,7 @@ def _settle(model: BedModel, start: Array) -> Array:
     looks = math.ceil(PATIENCE * fall / (chunk * model.dt))
     nothing = np.zeros_like(start)
     quiet, share = 0, math.inf
-    with tempfile.TemporaryDirectory(prefix="kncal-packing-") as folder, LiggghtsDem(model, Path(folder), start) as dem:
+    with scratch() as folder, LiggghtsDem(model, folder, start) as dem:
         for _ in range(looks):
             check_stop()
             dem.run(chunk, nothing)
@@ -204,17 +205,8 @@ def _key(model: BedModel, start: Array) -> str:
 
 def _store(path: Path, positions: Array) -> None:
     """Write beside ``path`` and move into place: others find no file, or a whole one."""
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=".packing.", suffix=".part")
-    temporary = Path(name)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            np.savez(file, positions=positions)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
+    with replacing(path) as file:
+        np.savez(file, positions=positions)
 
 
 def _load(path: Path, scene: BedScene) -> Array | None:

@@ -6,7 +6,6 @@ What kncal adds in a run, the exchange between the two, is not in it.
 from __future__ import annotations
 
 import shutil
-import tempfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
@@ -24,6 +23,7 @@ from kncal.io.liggghts_log import END_MARKER
 from kncal.model import KINDS
 from kncal.mpi import check_ranks
 from kncal.resources import folder as shipped_folder
+from kncal.scratch import scratch
 from kncal.templating import render
 
 ALLRUN, README = "Allrun", "README.txt"
@@ -56,8 +56,7 @@ def render_bed(
     models = plan_checked(scene, kinds)
     profile = Coupled("restart").profile()
     positions = start_positions(scene)
-    with tempfile.TemporaryDirectory(prefix="kncal-") as name:
-        draft = Path(name)
+    with scratch() as draft:
         for kind, model in models.items():
             _write(model, draft / kind, positions, ranks, oversubscribe)
         with case_folder(scene, out, tell=tell):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import tempfile
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -41,6 +40,7 @@ from kncal.io.tables import write_json
 from kncal.model import KINDS
 from kncal.records import MANIFEST
 from kncal.resources import cache_folder
+from kncal.scratch import scratch
 from kncal.started import started
 from kncal.workflow import require_completed
 
@@ -148,13 +148,13 @@ def _manifests(
     models: Mapping[str, BedModel], profile: Profile, positions: Array, ranks: int
 ) -> dict[str, dict[str, Any]]:
     """Return the manifests of runs from ``positions``; what both solvers will read is hashed, before they read it."""
-    with tempfile.TemporaryDirectory(prefix="kncal-") as name:
+    with scratch() as draft:
         for kind, model in models.items():
-            _write_inputs(model, Path(name) / kind, positions)
+            _write_inputs(model, draft / kind, positions)
         return {
             kind: model_manifest(
                 model,
-                Path(name) / kind,
+                draft / kind,
                 profile,
                 [],
                 steps=model.couplings * model.steps_per_coupling,

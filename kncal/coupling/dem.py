@@ -14,10 +14,9 @@ import signal
 import socket
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -36,6 +35,7 @@ from kncal.disk import blame
 from kncal.errors import InputError, RunError, SolverMissingError
 from kncal.io.text import decode_line
 from kncal.runner import solver_environment
+from kncal.scratch import held_scratch
 from kncal.stopping import shielded_start
 
 LOG = "log.liggghts"
@@ -95,7 +95,6 @@ class LiggghtsDem:
         self._count = scene.particles.count
         self._plane = middle(scene) if scene.column.front_back == "layer" else None
         self._folder = folder
-        self._pass_fds = tuple(pass_fds)
         self._cpu = 0.0
         self._step = 0
         folder.mkdir(parents=True, exist_ok=True)
@@ -110,7 +109,9 @@ class LiggghtsDem:
             write_deck(model, folder, x, v)
         else:
             raise InputError("positions: None, expected (n, 3) centres, or a restart folder")
-        self._session = tempfile.TemporaryDirectory(prefix="kncal-", ignore_cleanup_errors=True)
+        self._scratch = ExitStack()
+        self._session, holding = self._scratch.enter_context(held_scratch())
+        self._pass_fds = (*pass_fds, *holding)
         self._channel, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         memory = os.memfd_create("kncal-particles", os.MFD_CLOEXEC)
         try:
@@ -121,7 +122,7 @@ class LiggghtsDem:
             )
         except BaseException:
             self._channel.close()
-            self._session.cleanup()
+            self._scratch.close()
             raise
         finally:
             theirs.close()
@@ -239,7 +240,7 @@ class LiggghtsDem:
         environment = solver_environment() | {
             # The child imports what this process imports, and has a session folder of its own (see `kncal.runner`).
             "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
-            "OMPI_MCA_orte_tmpdir_base": self._session.name,
+            "OMPI_MCA_orte_tmpdir_base": str(self._session),
         }
         # As in `kncal.runner`: it dies with us even while it computes.
         setpriv = shutil.which("setpriv")
@@ -344,7 +345,7 @@ class LiggghtsDem:
         _, status, usage = os.wait4(child.pid, 0)
         child.returncode = os.waitstatus_to_exitcode(status)
         self._cpu = usage.ru_utime + usage.ru_stime
-        self._session.cleanup()
+        self._scratch.close()
         return child.returncode
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shutil
-import tempfile
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -21,6 +20,7 @@ from kncal.mpi import MPIRUN, check_ranks, mpi_command, mpi_environment, run_ran
 from kncal.passages import PASSED_THROUGH, passages
 from kncal.resources import folder as shipped_folder
 from kncal.runner import run_process, solver_environment
+from kncal.scratch import scratch
 from kncal.templating import render
 from kncal.trajectory import Trajectory
 
@@ -179,8 +179,7 @@ def _find(program: str) -> Path | None:
 def _version(program: Path) -> tuple[str, str]:
     """Return the version that the program's banner names, and why there is none; asked once per program."""
     try:
-        with tempfile.TemporaryDirectory(prefix="kncal-") as name:
-            folder = Path(name)
+        with scratch() as folder:
             # Without a log and with an empty deck it prints its banner and ends.
             process = run_process(
                 (str(program), "-log", "none"), cwd=folder, log=folder / "banner", timeout=_BANNER_TIME

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import os
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -14,6 +13,7 @@ import numpy as np
 
 from kncal.errors import InputError, ReadError
 from kncal.io.files import read_limited
+from kncal.scratch import replacing
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -151,20 +151,5 @@ def write_text(path: Path, text: str) -> None:
 
     A symbolic link at ``path`` is replaced, not followed.
     """
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name[:100]}.", suffix=".part")
-    temporary = Path(name)
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
-            file.write(text)
-            file.flush()
-            os.fchmod(file.fileno(), 0o644)  # mkstemp makes it private; results are for everyone to read
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
-    folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(folder)  # without it the move itself may be lost
-    finally:
-        os.close(folder)
+    with replacing(path) as file:
+        file.write(text.encode("utf-8"))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +10,7 @@ from kncal import plots
 from kncal.figures import Figure
 from kncal.io.tables import write_csv, write_json, write_text
 from kncal.report import Table, page_template
+from kncal.scratch import drawn_aside
 from kncal.stability.edges import RESOLUTION
 from kncal.stability.maps import Cell
 from kncal.stability.outcome import OUTCOMES
@@ -58,10 +58,8 @@ def write_stability(found: Stability, folder: Path) -> Path:
     report = folder / "report"
     report.mkdir(exist_ok=True)
     # drawn aside and moved, so that each is whole
-    with tempfile.TemporaryDirectory(dir=report, prefix=".figures-") as drawn:
-        figures = _figures(found, Path(drawn))
-        for picture in Path(drawn).iterdir():
-            picture.replace(report / picture.name)
+    with drawn_aside(report) as drawn:
+        figures = _figures(found, drawn)
     page = report / "index.html"
     write_text(
         page,

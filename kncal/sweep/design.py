@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -36,6 +35,7 @@ from kncal.model import KINDS, Model
 from kncal.mpi import check_ranks
 from kncal.overrides import parse_override
 from kncal.scene import Scene
+from kncal.scratch import scratch
 from kncal.sweep.points import Point
 
 DESIGN, RUNS = "sweep.json", "runs"
@@ -265,14 +265,14 @@ def _checker(settings: Settings, bed: bool) -> Iterator[Callable[[Scene | BedSce
 
     engine: Engine = get_engine(settings.engine, ranks=settings.ranks, oversubscribe=settings.oversubscribe)
 
-    with tempfile.TemporaryDirectory(prefix="kncal-") as draft:
+    with scratch() as draft:
 
         def check_scene(scene: Scene | BedScene) -> list[Model]:
             if isinstance(scene, BedScene):
                 raise CaseFileError("the case becomes a bed; expected a case of single contacts like the case itself")
             models = list(plan(scene, settings.models).values())
             for model in models:
-                engine.render(model, Path(draft))
+                engine.render(model, draft)
             return models
 
         yield check_scene

@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -23,6 +22,7 @@ from kncal.folder import ROW, read_result
 from kncal.io.files import sha256
 from kncal.io.tables import MAX_JSON_BYTES
 from kncal.records import RESULT, Record, Sha256, read_record
+from kncal.scratch import replacing
 from kncal.sweep.design import Sweep, run_folder
 
 #: Why a run did not complete, by its status where that says it.
@@ -163,7 +163,7 @@ def _kept(out: Path, digests: Mapping[str, str]) -> list[Row] | None:
 
 def _keep(out: Path, digests: Mapping[str, str], rows: list[Row]) -> None:
     """Keep the rows beside the results. Not brought to the disk: a lost or torn file is made again."""
-    part = out / f".{ROW}.{os.getpid()}.part"
-    with contextlib.suppress(OSError):  # read-only or full: the rows are made anew each time
-        part.write_text(json.dumps({"kncal": __version__, "results": digests, "rows": rows}), encoding="utf-8")
-        part.replace(out / ROW)
+    text = json.dumps({"kncal": __version__, "results": digests, "rows": rows})
+    # read-only or full: the rows are made anew each time
+    with contextlib.suppress(OSError), replacing(out / ROW, durable=False) as file:
+        file.write(text.encode("ascii"))

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from kncal.case_text import toml_value
 from kncal.errors import InputError, ReadError
 from kncal.io.tables import csv_text, write_text
+from kncal.scratch import replacing
 from kncal.sweep.design import Sweep, keys_of, read_design, run_folder
 from kncal.sweep.rows import Row, ended_rows, failed_rows
 from kncal.sweep.states import WAITING, read_states, state_of
@@ -92,18 +91,8 @@ def write_parquet(folder: Path, table: pd.DataFrame) -> Path:
         If the extra that can is not installed.
     """
     check_parquet()
-    handle, name = tempfile.mkstemp(dir=folder, prefix=f".{PARQUET}.", suffix=".part")
-    os.close(handle)
-    part = Path(name)
-    try:
-        _uniform(table).to_parquet(part, engine="pyarrow", index=False)
-        part.chmod(0o644)
-        with part.open("rb") as file:
-            os.fsync(file.fileno())
-        part.replace(folder / PARQUET)
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
+    with replacing(folder / PARQUET) as file:
+        file.write(_uniform(table).to_parquet(None, engine="pyarrow", index=False))
     return folder / PARQUET
 
 

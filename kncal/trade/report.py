@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from kncal import __version__
 from kncal.errors import RenderError
 from kncal.io.tables import write_text
 from kncal.report import Table, page_template
+from kncal.scratch import drawn_aside
 from kncal.trade.answer import describe, sentences, shown_factor
 from kncal.trade.base import Candidate, ErrorSplit, MetricError, Part, Trade, TradePoint
 from kncal.trade.figures import draw_trade_figures
@@ -37,10 +37,8 @@ def write_trade_report(trade: Trade, conclusion: Conclusion, laws: Sequence[Law]
     if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
         raise RenderError(f"{folder}: expected a folder for the report (or nothing yet), not a file or a link")
     folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder, prefix=".figures-") as drawn:
-        figures = draw_trade_figures(trade, conclusion, laws, Path(drawn))
-        for picture in Path(drawn).iterdir():
-            picture.replace(folder / picture.name)
+    with drawn_aside(folder) as drawn:
+        figures = draw_trade_figures(trade, conclusion, laws, drawn)
     texts = sentences(trade, conclusion, laws)
     near = shown_points(trade, conclusion)
     page = folder / "index.html"

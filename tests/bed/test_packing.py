@@ -152,7 +152,10 @@ def test_a_damaged_packing_is_made_anew(tmp_path: Path, caplog: pytest.LogCaptur
         np.savez(file, positions=wrong[damage])
     else:
         file.write_bytes(file.read_bytes()[:-200] if damage == "cut" else b"junk")
+    for name in (".packing.abcdefgh.part", f".{file.name}.abcdefgh.part"):  # of starts that were killed
+        (tmp_path / name).write_bytes(b"half")
     assert np.array_equal(packing(model(bed), tmp_path), first)
+    assert not list(tmp_path.glob(".*.part"))
     assert str(file) in caplog.text
     caplog.clear()
     assert np.array_equal(packing(model(bed), tmp_path), first)

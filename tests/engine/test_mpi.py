@@ -7,6 +7,7 @@ import math
 import os
 import shutil
 import signal
+import stat
 import subprocess
 import sys
 import threading
@@ -27,6 +28,7 @@ from kncal.folder import read_manifest
 from kncal.model import Model
 from kncal.mpi import check_fit, check_ranks, cores
 from kncal.scene import Particle, Scene, Wall
+from kncal.scratch import hold
 from kncal.sweep import Settings, ThreadExecutor, design, run_sweep
 from kncal.sweep.design import run_folder
 from kncal.trajectory import Trajectory
@@ -254,7 +256,7 @@ def shared_memory(folder: Path) -> Path:
 
 def is_free(place: Path) -> bool:
     """Whether no process holds the folder any more."""
-    descriptor = mpi._hold(place)
+    descriptor = hold(place, stat.S_IFDIR)
     if descriptor is not None:
         os.close(descriptor)
     return descriptor is not None
