@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -227,6 +228,35 @@ def test_cpu_time_is_extrapolated_from_what_followed_the_start_up():
     assert track([(100, 10.0)]).held() is None
     assert track([(1000, 77.0)]).whole() == (77.0,)  # completed at once: measured
     assert run.done == pytest.approx(500 * run.model.coupling)
+
+
+GOOD = {"first": 0, "last": 100, "dem": 1.0, "gas": 0.0, "exchange": 0.0, "wall": 1.0, "load": 0.0}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {},
+        {"parts": [GOOD | {"last": 10**9}]},  # more couplings than the run has
+        {"parts": [GOOD | {"last": True}]},
+        {"parts": [GOOD | {"dem": -1.0}]},
+        {"parts": [GOOD | {"first": 50}]},
+        {"parts": [GOOD | {"last": 0}]},
+        {"parts": [GOOD, GOOD]},
+        {"parts": 5},
+        {"status": None},
+        {"run": "../../elsewhere"},
+    ],
+)
+def test_parts_that_kncal_would_not_write_are_not_taken_up_and_stop_nothing(tmp_path, change):
+    found = replace(track([]), folder=tmp_path)
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "result.json").write_text("{}")
+    record = {"key": "", "status": "timed_out", "run": "run", "parts": [GOOD]}
+    (tmp_path / "parts.json").write_text(json.dumps(record | change))
+    found.take_up()
+    assert found.couplings == (0 if change else 100)
+    assert found.status == ("waiting" if change else "timed_out")
 
 
 def test_rates_are_found_from_parts_and_predict_other_steps():
