@@ -7,6 +7,7 @@ t_c = tau_c T, delta_mean = x_mean L, the overlap at the end of the contact is x
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -82,6 +83,15 @@ def dimensionless_impact(law: str | ContactLaw, e_n: ArrayLike, end: str = "over
     chosen = get_law(law)
     end = one_of("end", end, ENDS)
     e = _restitution(chosen, e_n, end)
+    return _one(chosen, float(e), end) if e.ndim == 0 else _solve(chosen, e, end)
+
+
+@lru_cache(maxsize=4096)  # the pairs of a scene share few e_n
+def _one(law: ContactLaw, e_n: float, end: str) -> DimensionlessImpact:
+    return _solve(law, np.asarray(e_n), end)
+
+
+def _solve(chosen: ContactLaw, e: Array, end: str) -> DimensionlessImpact:
     found = chosen.impact(e.ravel(), end)
     fields = (found.C, found.x_max, found.tau_c, found.x_mean, found.x_end)
     C, x_max, tau_c, x_mean, x_end = (plain(np.asarray(field).reshape(e.shape)) for field in fields)

@@ -7,7 +7,7 @@ pass them on. No force ever points out of that space, so nothing leaves it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -163,7 +163,7 @@ def _basis(vectors: list[Array]) -> Array:
     units = [np.asarray(v) / n for v in vectors if (n := float(np.linalg.norm(v))) > 0.0]
     if not units:
         return np.zeros((3, 0))
-    left, sizes, _ = np.linalg.svd(np.column_stack(units))
+    left, sizes, _ = np.linalg.svd(np.column_stack(units), full_matrices=False)
     return left[:, : int(np.sum(sizes > 1e-9 * sizes[0]))]
 
 
@@ -183,20 +183,24 @@ def _motion(scene: Scene) -> tuple[Array, list[_Contact]]:
     """Return the space of the motion (3, rank) and the contacts that can happen; grown until complete."""
     vectors = [np.asarray(p.velocity) for p in scene.particles] + [np.asarray(scene.gravity)]
     space, contacts = _basis(vectors), list[_Contact]()
+    pairs, known = scene.body_pairs(), set[tuple[str, str]]()
     while True:
-        possible = [c for c in scene.body_pairs() if c in contacts or _can_touch(scene, c, space, contacts)]
-        vectors += [_normal(c) for c in possible if c not in contacts]
+        others = {name for names in known for name in names}
+        possible = [c for c in pairs if _names(c) in known or _can_touch(scene, c, space, others)]
+        vectors += [_normal(c) for c in possible if _names(c) not in known]
         rubbed = [c for c in possible if _friction(scene, c) > 0.0]
         grown = _basis(vectors + _surface_velocities(rubbed, _basis(vectors)))
         if len(possible) == len(contacts) and grown.shape == space.shape:
             return grown, possible
         # keep the spins' directions: the next round crosses them with the spins again
         vectors, space, contacts = [*vectors, *grown.T], grown, possible
+        known = {_names(c) for c in contacts}
 
 
 def _surface_velocities(contacts: list[_Contact], space: Array) -> list[Array]:
     """Directions spin × normal of the particles in ``contacts`` for every direction of ``space``."""
-    spins = [np.divide(p.spin, n) for p in _particles(contacts) if (n := float(np.linalg.norm(p.spin))) > 0.0]
+    touching = {p.name: p for p in _particles(contacts)}
+    spins = [np.divide(p.spin, n) for p in touching.values() if (n := float(np.linalg.norm(p.spin))) > 0.0]
     products = [np.cross(spin, normal) for spin in spins for normal in space.T]
     return [v for v in products if np.linalg.norm(v) > 1e-9]
 
@@ -205,12 +209,18 @@ def _particles(contacts: list[_Contact]) -> list[Particle]:
     return [body for contact in contacts for body in contact if isinstance(body, Particle)]
 
 
-def _can_touch(scene: Scene, contact: _Contact, space: Array, contacts: list[_Contact]) -> bool:
-    """Whether two bodies can touch: never "no" where they do; "perhaps" counts as yes."""
+def _names(contact: _Contact) -> tuple[str, str]:
+    return contact[0].name, contact[1].name
+
+
+def _can_touch(scene: Scene, contact: _Contact, space: Array, others: Container[str]) -> bool:
+    """Whether two bodies can touch: never "no" where they do; "perhaps" counts as yes.
+
+    ``others``: names of the bodies whose contacts are known to happen.
+    """
     a, b = contact
     if initial_overlap(a, b) > 0.0 or first_touch(scene, a, b) is not None:
         return True
-    others = {body.name for c in contacts for body in c}
     if a.name not in others and b.name not in others:
         return _grazing(scene, contact)  # both fly freely: ballistics has the last word
     normal = _normal(contact)

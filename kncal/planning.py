@@ -42,7 +42,8 @@ def plan(scene: Scene, kinds: Iterable[str] = KINDS) -> dict[str, Model]:
     """
     kinds = tuple(kinds)
     needs = decide(scene)
-    models = {kind: _model(scene, kind, needs) for kind in KINDS}
+    first_speed = speed_once()
+    models = {kind: _model(scene, kind, needs, first_speed) for kind in KINDS}
     for kind in kinds:
         require_possible_scene(models[kind])
     t_end = scene.run.until_time
@@ -85,6 +86,28 @@ def pair_choice(
     return numbers
 
 
+def speed_once() -> Callable[[Scene], float | None]:
+    """Return `first_impact_speed` for one scene, found at the first call: it looks at every pair of bodies."""
+    speeds: list[float | None] = []
+
+    def first_speed(scene: Scene) -> float | None:
+        if not speeds:
+            speeds.append(first_impact_speed(scene))
+        return speeds[0]
+
+    return first_speed
+
+
+def species_choices(scene: Scene) -> dict[SpeciesPair, PairNumbers]:
+    """Return the numbers (`pair_choice`) of every pair of species that bodies of the scene form."""
+    species, first_speed = species_of(scene), speed_once()
+    return {
+        which: pair_choice(scene, *species.bodies(which), first_speed)
+        for which in species.pairs()
+        if species.meetings(which)
+    }
+
+
 def _why_no_speed(scene: Scene) -> str:
     pressed = [(a, b, d) for a, b in scene.body_pairs() if (d := initial_overlap(a, b)) > 0.0]
     if pressed:
@@ -106,15 +129,7 @@ def first_impact_speed(scene: Scene) -> float | None:
     return min(touches)[1] if touches else None
 
 
-def _model(scene: Scene, kind: str, needs: Needs) -> Model:
-    speeds: list[float | None] = []
-
-    def first_speed(scene: Scene) -> float | None:
-        # once for all pairs: with n bodies it costs n², and there are n² pairs
-        if not speeds:
-            speeds.append(first_impact_speed(scene))
-        return speeds[0]
-
+def _model(scene: Scene, kind: str, needs: Needs, first_speed: Callable[[Scene], float | None]) -> Model:
     species = species_of(scene)
     uses = {name: needs.uses(name) for name in ("tangential", "rolling")}
 
