@@ -39,11 +39,14 @@ def fault(error: ErrorDetails, tables: Mapping[str, Any], root: type[Root] = Cas
         return path, f"{_shown(path)}: missing: expected {meaning}"
     if path and path[-1] == "[key]":
         return path[:-1], f"{_shown(path[:-2])}: key {short(path[-2])}: {_cause(error)}"
+    if kind in _LENGTH:
+        # how many are too many says enough
+        about = about if kind == "too_short" else ""
+        return path, f"{value}: {error['ctx']['actual_length']} entries{about}: {_LENGTH[kind].format(**error['ctx'])}"
     if kind in _EXPECTED:
         return path, f"{value}: expected {_EXPECTED[kind]}{about}"
-    if path and path[-1] == "e_n" and error["input"] == 0:
-        return path, f"{value}: {_cause(error)}; {_no_rebound(tables)}"
-    return path, f"{value}: {_cause(error)}"
+    remedy = f"; {_no_rebound(tables)}" if path and path[-1] == "e_n" and error["input"] == 0 else ""
+    return path, f"{value}: {_cause(error)}{remedy}"
 
 
 def _no_rebound(tables: Mapping[str, Any]) -> str:
@@ -58,6 +61,8 @@ def _no_rebound(tables: Mapping[str, Any]) -> str:
     return instead_of_zero(float(n) if usable else USUAL_STEPS, laws, "force" if end == "force" else "overlap")
 
 
+#: pydantic's error types of lists, with the number that it knows.
+_LENGTH = {"too_short": "expected at least {min_length}", "too_long": "expected at most {max_length}"}
 #: pydantic's error types in plain words.
 _EXPECTED = {
     "float_type": "a number in SI units, without quotes or unit,",
@@ -66,8 +71,6 @@ _EXPECTED = {
     "finite_number": "a finite number",
     "string_type": "text in quotes",
     "bool_type": "true or false",
-    "too_short": "a longer list",
-    "too_long": "a shorter list",
     "list_type": "a list",
 }
 

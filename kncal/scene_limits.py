@@ -7,13 +7,15 @@ them without a word.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 
 from kncal.ballistics import first_touch, initial_overlap
 from kncal.finding import Finding, require_possible
 from kncal.material import sphere_mass
 from kncal.model import Model, PairContact
 from kncal.scene import AXES, Particle, Wall
+from kncal.species import SpeciesPair, listed
 from kncal.step_error import step_error
 from kncal.timestep import verlet_limit
 from kncal.validity import OVERLAP_DOUBTFUL, OVERLAP_MEANINGLESS
@@ -22,19 +24,26 @@ from kncal.validity import OVERLAP_DOUBTFUL, OVERLAP_MEANINGLESS
 START_LARGE = 0.25
 #: Most bodies that touch one sphere at once: its nearest neighbours in the densest packing of equal spheres.
 MOST_CONTACTS = 12
+#: Of limits of one sort this many are told one by one.
+MOST_ALIKE = 3
 
 _Bodies = tuple[Particle, Particle | Wall]
+#: Whom a limit concerns, how bad it is (within one sort), and what is said.
+_Found = tuple[_Bodies, float, Finding]
 
 
 def check_scene(model: Model) -> tuple[Finding, ...]:
-    """Return every limit that a scene runs into, refusals first; warnings of its contacts are in `PairContact`."""
-    found = [*_first_impacts(model), *_starts(model), *_resting(model), *_steps(model)]
+    """Return every limit that a scene runs into, refusals first; warnings of its contacts are in `PairContact`.
+
+    Of bodies that are alike (`kncal.species`) the worst.
+    """
+    found = [*_of_each_kind(model, [*_first_impacts(model), *_starts(model), *_resting(model)]), *_steps(model)]
     return tuple(sorted(found, key=lambda finding: finding.level != "refuse"))
 
 
 def require_possible_scene(model: Model) -> None:
     """Raise `CaseFileError` if a limit refuses the scene: something goes through something else for sure."""
-    require_possible([*_first_impacts(model), *_resting(model)])
+    require_possible(_of_each_kind(model, [*_first_impacts(model), *_resting(model)]))
 
 
 def warnings_of(models: Mapping[str, Model], *, usual: bool = True) -> tuple[str, ...]:
@@ -46,12 +55,45 @@ def warnings_of(models: Mapping[str, Model], *, usual: bool = True) -> tuple[str
     for kind, model in models.items():
         texts |= {f"{kind}: {finding.message}": None for finding in check_scene(model) if finding.level == "warn"}
     pairs: dict[str, dict[str, None]] = {}
+    codes: dict[str, str] = {}
     for model in models.values():
-        for pair, contact in model.contacts.items():
+        for which, contact in model.by_species.items():
             for code, text in contact.warnings.items():
                 if usual or code != "attraction":
-                    pairs.setdefault(text, {})["–".join(pair)] = None
-    return (*texts, *(f"{', '.join(names)}: {text}" for text, names in pairs.items()))
+                    pairs.setdefault(text, {})[model.species.label(which)] = None
+                    codes[text] = code
+    told: dict[str, list[str]] = {}
+    for text, names in pairs.items():
+        told.setdefault(codes[text], []).append(f"{listed(list(names))}: {text}")
+    return (*texts, *(text for each in told.values() for text in _first(each)))
+
+
+def _first(texts: list[str]) -> Iterator[str]:
+    """The first few of the warnings of one kind; of the others how many they are."""
+    yield from texts[:MOST_ALIKE]
+    if len(texts) > MOST_ALIKE:
+        yield f"{len(texts) - MOST_ALIKE} more kinds of pairs have the last of these limits, with other numbers"
+
+
+def _of_each_kind(model: Model, found: Iterable[_Found]) -> Iterator[Finding]:
+    """Of the findings about bodies that are alike the worst, and of each kind of limit a few."""
+    worst: dict[tuple[str, str, SpeciesPair], tuple[float, Finding]] = {}
+    number: dict[object, int] = {}
+    for (a, b), bad, finding in found:
+        key = (finding.code, finding.level, model.species.pair_of((a.name, b.name)))
+        number[key] = number.get(key, 0) + 1
+        if key not in worst or bad > worst[key][0]:
+            worst[key] = bad, finding
+    by_limit: dict[str, list[tuple[float, Finding, int]]] = {}
+    for which, (bad, finding) in worst.items():
+        by_limit.setdefault(finding.code, []).append((bad, finding, number[which] - 1))
+    for code, each in by_limit.items():
+        each.sort(key=lambda item: (item[1].level != "refuse", -item[0]))
+        for _, finding, others in each[:MOST_ALIKE]:
+            more = f" (the worst of {others + 1} pairs of bodies alike)" if others else ""
+            yield replace(finding, message=finding.message + more)
+        if len(each) > MOST_ALIKE:
+            yield Finding(code, "warn", f"{len(each) - MOST_ALIKE} more kinds of pairs have the last of these limits")
 
 
 def _pairs(model: Model) -> Iterator[tuple[_Bodies, PairContact, str, float]]:
@@ -71,44 +113,43 @@ def overlap_at(contact: PairContact, speed: float) -> float | None:
     return float(contact.delta_max * (speed / contact.v_0) ** (2.0 / (contact.n + 1.0)))
 
 
-def _first_impacts(model: Model) -> Iterator[Finding]:
+def _first_impacts(model: Model) -> Iterator[_Found]:
     """The calibration refuses an overlap that reaches the radius at v_0; here at the speeds of the scene."""
-    touches = []
+    touches: list[tuple[float, float, float, str, float | None, _Bodies]] = []
     for (a, b), contact, who, radius in _pairs(model):
         touch = first_touch(model.scene, a, b)
         if touch is not None and (delta := overlap_at(contact, touch[1])) is not None:
-            touches.append((touch[0], touch[1], delta / radius, who, contact.v_0))
-    for k, (_, speed, share, who, v_0) in enumerate(sorted(touches)):
+            touches.append((touch[0], touch[1], delta / radius, who, contact.v_0, (a, b)))
+    for k, (_, speed, share, who, v_0, bodies) in enumerate(sorted(touches, key=lambda touch: touch[:4])):
         if v_0 is None or speed <= v_0 * (1.0 + 1e-9) or share <= OVERLAP_DOUBTFUL:
             continue  # what happens at v_0 is said by the calibration
         through = share >= OVERLAP_MEANINGLESS
-        yield Finding(
-            "first-impact",
-            # later ones may not come about, once the first has changed the motion
-            "refuse" if through and k == 0 else "warn",
+        text = (
             f"{who}: meets at {speed:.3g} m/s, {speed / v_0:.3g} times the v_0 that its contact is made for: the "
             f"overlap would be {share:.3g} of the smaller radius"
             f"{', so it goes through' if through else ''}: expected contact.v_0 of about that speed, or a stiffer "
-            "contact",
+            "contact"
         )
+        # later ones may not come about, once the first has changed the motion
+        yield bodies, share, Finding("first-impact", "refuse" if through and k == 0 else "warn", text)
 
 
-def _starts(model: Model) -> Iterator[Finding]:
-    for (a, b), _, who, radius in _pairs(model):
-        share = initial_overlap(a, b) / radius
+def _starts(model: Model) -> Iterator[_Found]:
+    for bodies, _, who, radius in _pairs(model):
+        share = initial_overlap(*bodies) / radius
         if share > START_LARGE:
-            yield Finding(
-                "start-overlap",
-                "warn",
+            text = (
                 f"{who}: starts with an overlap of {share:.3g} of the smaller radius, whose spring will throw it out: "
-                f"expected at most {START_LARGE:g}, or a start without overlap",
+                f"expected at most {START_LARGE:g}, or a start without overlap"
             )
+            yield bodies, share, Finding("start-overlap", "warn", text)
 
 
-def _resting(model: Model) -> Iterator[Finding]:
+def _resting(model: Model) -> Iterator[_Found]:
     """Whether the contact carries the weight, of the sphere alone (certain) and of all spheres (the worst case)."""
     scene = model.scene
     masses = {p.name: float(sphere_mass(p.material, p.radius)) for p in scene.particles}
+    everything = sum(masses.values())
     for (a, b), contact, who, radius in _pairs(model):
         if not isinstance(b, Wall):
             continue
@@ -117,22 +158,31 @@ def _resting(model: Model) -> Iterator[Finding]:
         if pull <= 0.0:
             continue
         own, all_of_them = (
-            (mass * pull / contact.k) ** (1.0 / contact.n) / radius for mass in (masses[a.name], sum(masses.values()))
+            (mass * pull / contact.k) ** (1.0 / contact.n) / radius for mass in (masses[a.name], everything)
         )
         if own >= OVERLAP_MEANINGLESS:
-            yield Finding(
-                "static-overlap",
-                "refuse",
+            text = (
                 f"{who}: at rest the sphere's own weight needs an overlap of {own:.3g} radii: the contact can't carry "
-                "it, it sinks through the wall: expected a stiffer contact",
+                "it, it sinks through the wall: expected a stiffer contact"
             )
+            yield (a, b), own, Finding("static-overlap", "refuse", text)
         elif max(own, all_of_them) > OVERLAP_DOUBTFUL:
-            yield Finding(
-                "static-overlap",
-                "warn",
+            text = (
                 f"{who}: under the weight of all spheres the overlap at rest is {all_of_them:.3g} of the radius (of "
-                f"its own: {own:.3g}): expected at most {OVERLAP_DOUBTFUL:g}; take a stiffer contact",
+                f"its own: {own:.3g}): expected at most {OVERLAP_DOUBTFUL:g}; take a stiffer contact"
             )
+            yield (a, b), all_of_them, Finding("static-overlap", "warn", text)
+
+
+def _deepest(model: Model) -> Iterator[tuple[_Bodies, PairContact, str, float]]:
+    """As `_pairs`, of each pair of species the two that start deepest in each other."""
+    found: dict[SpeciesPair, tuple[float, tuple[_Bodies, PairContact, str, float]]] = {}
+    for item in _pairs(model):
+        (a, b), overlap = item[0], initial_overlap(*item[0])
+        which = model.species.pair_of((a.name, b.name))
+        if which not in found or overlap > found[which][0]:
+            found[which] = overlap, item
+    return (item for _, item in found.values())
 
 
 def _steps(model: Model) -> Iterator[Finding]:
@@ -141,7 +191,7 @@ def _steps(model: Model) -> Iterator[Finding]:
     shortest = min(c.t_c for c in model.contacts.values())
     # a step that is not stable is worse than a coarse one: one is enough, the step is one for all pairs
     worst: tuple[bool, float, Finding] | None = None
-    for (a, b), contact, who, _ in _pairs(model):
+    for (a, b), contact, who, _ in _deepest(model):
         delta = max(contact.delta_max or 0.0, initial_overlap(a, b))
         if delta <= 0.0 and contact.n != 1.0:
             continue  # never stiff: nothing is known to press it

@@ -301,6 +301,24 @@ def test_hostile_names(bad: str) -> None:
         parse_case(GOOD, name=bad)
 
 
+@pytest.mark.parametrize(("table", "most"), [("particles", 100), ("walls", 20), ("contact.pairs", 200)])
+def test_more_bodies_than_a_scene_may_have_are_refused_with_the_number(table: str, most: int) -> None:
+    rows = {
+        "particles": '[[particles]]\nname = "p{i}"\nmaterial = "glass"\ndiameter = 0.1\nposition = [0, {i}, 1]\n',
+        "walls": '[[walls]]\nname = "w{i}"\naxis = "x"\nposition = {i}.5\nmaterial = "rigid"\n',
+        "contact.pairs": '[[contact.pairs]]\nbetween = ["glass", "rigid"]\ne_n = 0.5\n',
+    }
+    listed = parse_case(GOOD, name="sample")
+    there = {"particles": len(listed.particles), "walls": len(listed.walls), "contact.pairs": len(listed.contact.pairs)}
+    more = "".join(rows[table].replace("{i}", str(i)) for i in range(most - there[table]))
+    full = parse_case(GOOD + more, name="sample")
+    assert len({"particles": full.particles, "walls": full.walls, "contact.pairs": full.contact.pairs}[table]) == most
+    message = refused(GOOD + more + rows[table].replace("{i}", str(most)))
+    assert f"{table} = " in message
+    assert f"{most + 1} entries" in message
+    assert f"expected at most {most}" in message
+
+
 @pytest.mark.parametrize("bad", ["a\nb", "a\u2028b", "a\x1b[31m", "x" * 301])
 def test_text_that_could_leave_its_line(bad: str) -> None:
     import json

@@ -165,6 +165,57 @@ def test_kn_of_a_case(capsys):
     assert json.loads(out)["case"] == "wall_impact"
 
 
+def many_spheres(folder, number, unlike):
+    """A case of spheres above a floor, all alike or each of a size of its own."""
+    text = "[materials.glass]\nyoung = 5e7\npoisson = 0.25\ndensity = 2500.0\n"
+    for i in range(number):
+        diameter = 0.002 * (1.0 + 0.005 * i * unlike)
+        text += f'[[particles]]\nname = "p{i}"\nmaterial = "glass"\ndiameter = {diameter}\n'
+        text += f"position = [{0.01 * (i % 10)}, {0.01 * (i // 10)}, 0.01]\nvelocity = [0.0, 0.0, -0.5]\n"
+    text += '[[walls]]\nname = "floor"\naxis = "z"\nposition = 0.0\nmaterial = "rigid"\n'
+    (folder / "case.toml").write_text(text + "[contact]\ne_n = 0.9\n[run]\nuntil_time = 0.001\n")
+    return folder
+
+
+def test_kn_of_many_alike_spheres_is_that_of_their_two_kinds_of_pairs(capsys, tmp_path):
+    case = str(many_spheres(tmp_path, 100, unlike=False))
+    code, out, _ = kncal(capsys, "kn", case, "--json")
+    assert code == 0
+    pairs = json.loads(out)["pairs"]
+    assert {name: pair["pairs_of_bodies"] for name, pair in pairs.items()} == {"p0–p1": 4950, "p0–floor": 100}
+    # k_n goes with m_eff^(1/5) R_eff^(2/5) E_eff^(4/5): against a rigid wall each of the three is doubled
+    k_n = {name: pair["methods"][0]["k_n"] for name, pair in pairs.items()}
+    assert k_n["p0–floor"] / k_n["p0–p1"] == pytest.approx(2.0**1.4, rel=1e-9)
+    code, out, _ = kncal(capsys, "kn", case)
+    assert code == 0
+    assert len(out.splitlines()) < 100
+
+
+def test_kn_of_many_unlike_spheres_is_one_table_of_the_shortest_contacts(capsys, tmp_path):
+    case = str(many_spheres(tmp_path, 20, unlike=True))
+    code, out, _ = kncal(capsys, "kn", case)
+    assert code == 0
+    assert len(out.splitlines()) < 100
+    pairs = json.loads(kncal(capsys, "kn", case, "--json")[1])["pairs"]
+    assert len(pairs) == 20 * 19 // 2 + 20
+    assert all([row["method"] for row in pair["methods"]] == ["mean_overlap"] for pair in pairs.values())
+    shortest = min(pairs, key=lambda name: pairs[name]["methods"][0]["t_c"])
+    assert next(line for line in out.splitlines() if "–" in line).split()[0] == shortest
+    assert kncal(capsys, "kn", case, "--uncertain", "young=10%")[0] == 2
+
+
+def test_warnings_of_many_alike_bodies_are_few(capsys, tmp_path):
+    # all sink into the floor by their own weight more than they should: said once for all of them
+    case = str(many_spheres(tmp_path, 40, unlike=False))
+    heavy = ("--set", "gravity=[0.0, 0.0, -9000.0]", "--set", "contact.v_0=5.0")
+    code, out, _ = kncal(capsys, "render", case, "--out", str(tmp_path / "out"), *heavy)
+    assert code == 0
+    warnings = [line for line in out.splitlines() if line.startswith("  warning: ")]
+    assert any("–floor" in line for line in warnings)
+    assert len(warnings) < 10
+    assert max(map(len, warnings)) < 500
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from annotated_types import MaxLen
 
 import kncal
 from kncal import case_schema, cli
@@ -237,6 +238,20 @@ def test_every_key_of_the_case_file_stands_with_its_default(
                 None,
                 case_schema.ContactTable.model_validate({}),
             ), key
+
+
+@pytest.mark.parametrize(
+    ("page", "heading", "table"),
+    [(CASE_FILE, *item) for item in TABLES.items()] + [(BED_FILE, *item) for item in BED_TABLES.items()],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_the_most_entries_of_a_list_stand_in_its_row(page: Path, heading: str, table: type[case_schema.Table]) -> None:
+    rows = {key: row for row in _rows(_section(page, heading)) for key in re.findall(r"`(\w+)`", row[0])}
+    for key, field in table.model_fields.items():
+        most = next((m.max_length for m in field.metadata if isinstance(m, MaxLen)), None)
+        if most is not None and most > 3:  # not of a vector
+            numbers = [int(float(n)) for n in re.findall(r"\d[\d ]*(?:e\d+)?", rows[key][4].replace("\u202f", ""))]
+            assert most in numbers, f"{key}: {rows[key][4]}"
 
 
 def test_every_option_metric_and_overrule_stands_in_the_case_file_page() -> None:

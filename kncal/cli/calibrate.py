@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
@@ -11,6 +10,7 @@ from cyclopts import Parameter
 
 from kncal.cli import show
 from kncal.cli.contact_flags import ContactFlags
+from kncal.cli.kn_tables import MOST_TABLES, kn_data, kn_print, own_options, print_many, row_of
 from kncal.cli.runs import EngineName, Json, Out, Set, measured
 from kncal.cli.speeds import (
     FromRun,
@@ -25,20 +25,11 @@ from kncal.errors import InputError
 
 if TYPE_CHECKING:
     from kncal.bed.scene import BedScene
-    from kncal.calibration import Calibration
     from kncal.material import Pair
     from kncal.scene import ContactChoice, Scene
 
 #: A block of more characters is for a file, not for a terminal: a dozen atom types.
 _LONG_BLOCK = 20_000
-_COLUMNS = (
-    ("k_n", "N/m"),
-    ("eta_n", "N s/m"),
-    ("kappa", ""),
-    ("t_c", "s"),
-    ("delta_max", "m"),
-    ("delta_mean", "m"),
-)
 
 
 def kn(
@@ -151,24 +142,28 @@ def _kn_flags(
 
     pair, v_0, e_n = flags.pair(), flags.speed(), flags.restitution()
     steps = usual_steps(flags.law, e_n, flags.end) if n is None else n
-    data = _kn_data(pair, v_0, e_n, flags.law, flags.end, options, steps)
-    matrix = flags.matrix(method, _own(method, options))
+    data = kn_data(pair, v_0, e_n, flags.law, flags.end, options, steps)
+    matrix = flags.matrix(method, own_options(method, options))
     block = matrix.liggghts(style, friction=friction, steps_per_contact=steps)
     if json:
         show.as_json(data | {"liggghts": block})
         return
-    _kn_print(flags.title(), data)
+    kn_print(flags.title(), data)
     _say_block(f"{method}, {style}", block)
 
 
 class _CasePair(NamedTuple):
-    """A pair of a case and what the case says about it; ``v_0`` and ``k_n`` may be None."""
+    """A pair of a case and what the case says about it; ``v_0`` and ``k_n`` may be None.
+
+    It stands for ``number`` pairs of bodies that are alike (of a bed: 1).
+    """
 
     names: tuple[str, str]
     pair: Pair
     e_n: float
     v_0: float | None
     k_n: float | None
+    number: int = 1
 
     @property
     def name(self) -> str:
@@ -177,7 +172,7 @@ class _CasePair(NamedTuple):
 
 
 def _pairs(scene: Scene | BedScene) -> Iterator[_CasePair]:
-    """Every pair of bodies of a case; of a bed: two particles, a particle and a wall."""
+    """Every pair of species of a case; of a bed: two particles, a particle and a wall."""
     from kncal.bed.scene import BedScene
 
     if isinstance(scene, BedScene):
@@ -191,11 +186,13 @@ def _pairs(scene: Scene | BedScene) -> Iterator[_CasePair]:
             numbers = numbers_of(scene.contact, exception)
             yield _CasePair((one, other), both, numbers.e_n, numbers.v_0, numbers.k_n)
         return
-    from kncal.planning import pair_choice, pair_of
+    from kncal.planning import pair_of, species_choices
+    from kncal.species import species_of
 
-    for a, b in scene.body_pairs():
-        e_n, _, v_0, k_n = pair_choice(scene, a, b)
-        yield _CasePair((a.name, b.name), pair_of(a, b), e_n, v_0, k_n)
+    species = species_of(scene)
+    for which, (e_n, _, v_0, k_n) in species_choices(scene).items():
+        a, b = species.bodies(which)
+        yield _CasePair((a.name, b.name), pair_of(a, b), e_n, v_0, k_n, species.meetings(which))
 
 
 def _kn_flags_uncertain(
@@ -215,7 +212,7 @@ def _kn_flags_uncertain(
         law=flags.law,
         method=method,
         end=flags.end,
-        **_own(method, options),
+        **own_options(method, options),
     )
     if json:
         show.as_json({"method": method, "uncertain": found.to_dict()})
@@ -238,28 +235,30 @@ def _kn_case(
     merged = options | dict(contact.method_options)
     steps = scene.run.steps_per_contact if n is None else n
     result: dict[str, dict[str, Any]] = {}
-    for p in _pairs(scene):
-        data = _kn_data(p.pair, p.v_0, p.e_n, contact.law, contact.end, merged, steps)
+    pairs = list(_pairs(scene))
+    many = len(pairs) > MOST_TABLES
+    if many and uncertain:
+        raise InputError(
+            f"{scene.name}: {len(pairs)} pairs of unlike bodies: --uncertain takes at most {MOST_TABLES}: expected a "
+            "case with fewer materials, sizes and exceptions"
+        )
+    for p in pairs:
+        only = contact.method if many else None
+        data = kn_data(p.pair, p.v_0, p.e_n, contact.law, contact.end, merged, steps, only)
         if p.k_n is not None:
             data["methods"].append(_prescribed(contact, p, steps))
-        result[p.name] = data | {"k_n_prescribed": p.k_n}
-    spreads = {
-        p.name: propagate_pair(scene, p.names, uncertain, e_n=p.e_n, v_0=p.v_0) for p in _pairs(scene) if uncertain
-    }
+        result[p.name] = data | {"k_n_prescribed": p.k_n, "pairs_of_bodies": p.number}
+    spreads = {p.name: propagate_pair(scene, p.names, uncertain, e_n=p.e_n, v_0=p.v_0) for p in pairs if uncertain}
     for name, spread in spreads.items():
         result[name]["uncertain"] = spread.to_dict()
     block = case_block(scene, style, steps)
     if json:
         show.as_json({"case": scene.name, "method": scene.contact.method, "pairs": result, "liggghts": block})
         return
-    for name, data in result.items():
-        _kn_print(name, data)
-        if data["v_0"] is None:
-            show.say(f"{name}: the case has no impact speed to calibrate at (contact.v_0 sets one)")
-        if data["k_n_prescribed"] is not None:
-            show.say(f"{name}: the case prescribes k_n = {show.quantity(data['k_n_prescribed'], 'N/m')}")
-        else:
-            show.say(f"{name}: the case uses the method {scene.contact.method}")
+    if many:
+        print_many(scene.name, contact.method, result)
+    for name, data in result.items() if not many else ():
+        _kn_print_pair(name, data, contact.method)
         if name in spreads:
             show.say()
             print_propagation(f"{name}, {scene.contact.method}", spreads[name])
@@ -286,7 +285,7 @@ def _prescribed(contact: ContactChoice, p: _CasePair, steps: float) -> dict[str,
     except ValidityError as error:
         return {"method": "prescribed", "problem": str(error)}
     if calibration is not None:
-        row = _row(calibration, steps)
+        row = row_of(calibration, steps)
         del row["reference"]
         return row | {"method": "prescribed", "k_n": p.k_n}
     c = pair_contact(contact, p.pair, numbers, "linear", Rest(0.0, 0.0), scene="", names=p.name)
@@ -303,121 +302,16 @@ def _prescribed(contact: ContactChoice, p: _CasePair, steps: float) -> dict[str,
     }
 
 
-def _row(c: Calibration, steps: float) -> dict[str, Any]:
-    """Return what `kn` tells of one calibration: its numbers, and the time steps at ``steps`` per contact."""
-    from kncal.timestep import advise_time_step
-
-    advice = advise_time_step(c, steps)
-    return {
-        **c.to_dict(),
-        "gamma_n": float(c.gamma_n),
-        "dt": float(advice.linear),
-        "dt_hertz": float(advice.hertz),
-        "dt_limit": float(advice.linear_limit),
-    }
-
-
-def _kn_data(
-    pair: Pair, v_0: float | None, e_n: float, law: str, end: Any, options: dict[str, Any], steps: float
-) -> dict[str, Any]:
-    """Return what `kn` tells of one pair; without an impact speed no method has anything to say."""
-    from kncal.calibration import calibrate
-    from kncal.errors import ValidityError
-    from kncal.methods import METHODS
-
-    rows: list[dict[str, Any]] = []
-    reference: dict[str, Any] = {}
-    for name, row in METHODS.items():
-        if v_0 is None:
-            break
-        own = _own(name, options)
-        missing = [k for k in row.required if k not in own]
-        if missing:
-            rows.append({"method": name, "problem": f"needs --{missing[0].replace('_', '-')}"})
-            continue
-        try:
-            c = calibrate(pair, v_0=v_0, e_n=e_n, law=law, method=name, end=end, **own)
-        except ValidityError as error:
-            rows.append({"method": name, "problem": str(error)})
-            continue
-        rows.append(_row(c, steps))
-        reference = rows[-1].pop("reference")
-    return {
-        "law": law,
-        "end": end,
-        "v_0": v_0,
-        "e_n": e_n,
-        "reference": reference,
-        "steps_per_contact": steps,
-        "step_error": _step_errors(law, e_n, end, steps),
-        "methods": rows,
-    }
-
-
-def _step_errors(law: str, e_n: float, end: str, steps: float) -> dict[str, dict[str, float | None]]:
-    """Return by contact law the largest predicted error of e_n at N steps, and the N that is advised."""
-    from kncal.timestep import advised_steps, restitution_error
-
-    found: dict[str, dict[str, float | None]] = {}
-    for each in dict.fromkeys(("linear", law)):
-        error = restitution_error(each, e_n, steps, end)
-        known = error if error is not None and math.isfinite(error) else None
-        found[each] = {"e_n": known, "advised_steps_per_contact": advised_steps(each, e_n, end)}
-    return found
-
-
-def _kn_print(name: str, data: dict[str, Any]) -> None:
-    reference, n = data["reference"], data["steps_per_contact"]
-    at = "no v_0" if data["v_0"] is None else f"v_0 = {data['v_0']:g} m/s"
-    title = f"{name}: reference {data['law']}, e_n = {data['e_n']:g}, {at}"
-    columns = ["method", *(c for c, _ in _COLUMNS), f"dt (N={n:g})"]
-    rows = []
-    warnings: dict[str, list[str]] = {}
-    kinds: dict[str, str] = {}
-    for row in data["methods"]:
-        if "problem" in row:
-            rows.append([row["method"], row["problem"]] + [""] * (len(columns) - 2))
-            continue
-        rows.append(
-            [
-                row["method"],
-                *("" if row[c] is None else show.quantity(row[c], unit) for c, unit in _COLUMNS),
-                show.quantity(row["dt"], "s"),
-            ]
-        )
-        for warning in row["warnings"]:
-            warnings.setdefault(warning["message"], []).append(row["method"])
-            # nearly every damped contact attracts at its end: worth knowing, no reason to worry
-            kinds[warning["message"]] = "note" if warning["code"] == "attraction" else "warning"
-    if reference:
-        dt = next(r["dt_hertz"] for r in data["methods"] if "problem" not in r)
-        rows.append(
-            [
-                f"({data['law']})",
-                "",
-                "",
-                "",
-                *(show.quantity(reference[c], u) for c, u in _COLUMNS[3:]),
-                show.quantity(dt, "s"),
-            ]
-        )
-    show.table(title, columns, rows)
-    valid = sum("problem" not in row for row in data["methods"])
-    for message, methods in warnings.items():
-        who = "all methods" if len(methods) == valid else ", ".join(methods)
-        show.say(f"  {kinds[message]} ({who}): {message}")
-    for law, step in data["step_error"].items():
-        if (advised := step["advised_steps_per_contact"]) is not None:
-            off = "beyond all bounds" if step["e_n"] is None else f"up to {100.0 * step['e_n']:.2g} %"
-            show.say(f"  {law}: e_n is {off} off by the step at N = {n:g}; at most 1 % from N = {advised:g} on")
-    show.say(f"  contact ends at zero {data['end']}; the paper's three methods as reconstructed\n")
-
-
-def _own(method: str, options: dict[str, Any]) -> dict[str, Any]:
-    from kncal.methods import get_method
-
-    row = get_method(method)
-    return {k: v for k, v in options.items() if k in (*row.required, *(row.optional or {}))}
+def _kn_print_pair(name: str, data: Mapping[str, Any], method: str) -> None:
+    if data["pairs_of_bodies"] > 1:
+        show.say(f"{name} stands for {data['pairs_of_bodies']} pairs of bodies that are alike:")
+    kn_print(name, dict(data))
+    if data["v_0"] is None:
+        show.say(f"{name}: the case has no impact speed to calibrate at (contact.v_0 sets one)")
+    if data["k_n_prescribed"] is not None:
+        show.say(f"{name}: the case prescribes k_n = {show.quantity(data['k_n_prescribed'], 'N/m')}")
+    else:
+        show.say(f"{name}: the case uses the method {method}")
 
 
 def collide(

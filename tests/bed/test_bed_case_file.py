@@ -104,7 +104,7 @@ FAULTS = [
     ("width = 0.03", 'width = "30 mm"', "expected a number in SI units", "width"),
     ("width = 0.03", "wide = 0.03", "did you mean 'width'?", "wide"),
     ("depth = 0.006", "depth = 0.001", "at least a particle's diameter, 0.0012 m", "depth"),
-    ("cells = [10, 2, 30]", "cells = [10, 2]", "longer list for the numbers of gas cells", "cells"),
+    ("cells = [10, 2, 30]", "cells = [10, 2]", "2 entries for the numbers of gas cells", "cells"),
     ("cells = [10, 2, 30]", "cells = [10, 0, 30]", "column.cells[1] = 0", "cells"),
     ("cells = [10, 2, 30]", "cells = [10, 2.0, 30]", "whole number", "cells"),
     ('wall_material = "soft"', 'wall_material = "sofd"', "did you mean 'soft'?", "wall_material"),
