@@ -6,9 +6,10 @@ has been silent, and no run has used up its time: the pause is no one's.
 
 from __future__ import annotations
 
-import signal
 import threading
 import time
+
+from kncal.stopping import start_deaf
 
 #: The clock is looked at so often [s]; no wait that is to be told from a pause may be longer.
 LOOK = 0.25
@@ -28,23 +29,16 @@ class _Clock:
             now = time.monotonic()
             if self._watch is None:
                 self._seen = now
-                self._begin()
+                self._watch = threading.Thread(target=self._look, name="kncal-awake", daemon=True)
+                start_deaf(self._watch)
             gap = now - self._seen
             if gap > LAPSE:
                 self._lost += gap - LOOK
             self._seen = now
             return now - self._lost
 
-    def _begin(self) -> None:
-        """Look at the clock from now on, whatever the others do. A signal is not for the thread that does."""
-        self._watch = threading.Thread(target=self._look, name="kncal-awake", daemon=True)
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
-        try:
-            self._watch.start()
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
     def _look(self) -> None:
+        """Look at the clock from the first look on, whatever the others do."""
         while True:
             time.sleep(LOOK)
             self.seconds()

@@ -10,7 +10,7 @@ import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from threading import Event, current_thread, main_thread
+from threading import Event, Thread, current_thread, main_thread
 from types import FrameType
 
 _STOP: ContextVar[Event | None] = ContextVar("stop", default=None)
@@ -43,6 +43,15 @@ def shielded_start() -> Iterator[None]:
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
     try:
         yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def start_deaf(thread: Thread) -> None:
+    """Start a thread that no signal is given to: signals wake those who wait for them."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
+    try:
+        thread.start()
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 

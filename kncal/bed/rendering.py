@@ -16,7 +16,7 @@ from kncal.checks import Array
 from kncal.coupling.checkpoint import GAS, PARTICLES
 from kncal.coupling.dem_deck import DATA, DECK, write_deck
 from kncal.coupling.gas_case import write_case
-from kncal.coupling.loop import gas_setup
+from kncal.coupling.loop import Progress, gas_setup
 from kncal.engines.coupled import Coupled
 from kncal.folder import case_folder, write_model_manifest
 from kncal.io.liggghts_log import END_MARKER
@@ -37,11 +37,13 @@ def render_bed(
     ranks: int = 1,
     oversubscribe: bool = False,
     tell: Callable[[str], None] | None = None,
+    progress: Progress | None = None,
 ) -> dict[str, BedModel]:
     """Write the case folder of a bed: per model ``particles/`` (LIGGGHTS), ``gas/`` (DPMFoam), README.txt, Allrun.
 
     A settled packing is made by LIGGGHTS for it. With several ``ranks``, ``gas/Allrun`` runs on that many. Returns the
-    models by kind. Whatever can be refused is refused before anything is written or moved.
+    models by kind. Whatever can be refused is refused before anything is written or moved. ``tell`` is called with a
+    sentence about what is done, ``progress`` while the packing settles (see `kncal.bed.packing.packing`).
 
     Raises
     ------
@@ -55,7 +57,7 @@ def render_bed(
     check_ranks(ranks, oversubscribe=oversubscribe)
     models = plan_checked(scene, kinds)
     profile = Coupled("restart").profile()
-    positions = start_positions(scene)
+    positions = start_positions(scene, tell=tell, progress=progress)
     with scratch() as draft:
         for kind, model in models.items():
             _write(model, draft / kind, positions, ranks, oversubscribe)

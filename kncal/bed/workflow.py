@@ -46,6 +46,8 @@ from kncal.workflow import require_completed
 
 POSITIONS = "positions.npy"
 
+#: What `run_bed` asks a progress callback for besides the models: steps of the settling, in all as far as known.
+PACKING = "packing"
 #: Called for each model with its kind; returns the progress callback of that run.
 ProgressFor = Callable[[str], Progress | None]
 
@@ -116,7 +118,7 @@ def run_bed(
     if profile.program is None:
         raise SolverMissingError(profile.problem)
     models = plan_checked(scene, kinds)
-    positions = start_positions(scene)
+    positions = start_positions(scene, tell=tell, progress=progress_for(PACKING) if progress_for else None)
     results: dict[str, RunResult] = {}
     try:
         with case_folder(scene, out, keep=not anew, tell=tell) as lock:
@@ -185,8 +187,11 @@ def _checkpoints(out: Path, models: Mapping[str, BedModel]) -> dict[str, str]:
     }
 
 
-def start_positions(scene: BedScene) -> Array:
-    """Return the centres (n, 3) [m] at the start, the same for both models (the packing is cached by its inputs)."""
+def start_positions(scene: BedScene, *, tell: Tell | None = None, progress: Progress | None = None) -> Array:
+    """Return the centres (n, 3) [m] at the start, the same for both models (the packing is cached by its inputs).
+
+    ``tell``, ``progress``: see `kncal.bed.packing.packing`.
+    """
     if scene.particles.count == 0:
         return np.zeros((0, 3))
     log = logging.getLogger("kncal")
@@ -197,7 +202,7 @@ def start_positions(scene: BedScene) -> Array:
     except OSError as error:
         log.warning("settled packings cannot be kept (%s): each run settles its own", error)
         kept = None
-    return packing(plan_bed(scene, ("linear",))["linear"], kept)
+    return packing(plan_bed(scene, ("linear",))["linear"], kept, tell=tell, progress=progress)
 
 
 def load_bed_run(folder: Path) -> BedRunData:

@@ -45,10 +45,18 @@ def render_bed(scene: BedScene, folder: Path, kinds: tuple[str, ...], ranks: int
     """Write what both solvers of a bed read, and say what runs by hand."""
     from kncal.bed.rendering import README
     from kncal.bed.rendering import render_bed as render_models
-    from kncal.bed.workflow import warnings_of
+    from kncal.bed.workflow import PACKING, warnings_of
 
-    with show.working("packing"):
-        models = render_models(scene, folder, kinds, ranks=ranks, oversubscribe=oversubscribe, tell=show.note)
+    with show.time_bars({}) as progress_for:
+        models = render_models(
+            scene,
+            folder,
+            kinds,
+            ranks=ranks,
+            oversubscribe=oversubscribe,
+            tell=show.note,
+            progress=progress_for(PACKING),
+        )
     for kind, m in models.items():
         show.say(
             f"{folder / kind}: {m.couplings} couplings of {show.quantity(m.coupling, 's')}, "

@@ -5,24 +5,31 @@ from __future__ import annotations
 import errno
 import io
 import json
+import math
 import os
 import signal
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar
+from datetime import timedelta
 from pathlib import Path
+from threading import Event, Thread
 from typing import TYPE_CHECKING, Any
+
+from kncal.stopping import start_deaf
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress as RichProgress
-    from rich.progress import TaskID
+    from rich.progress import Task, TaskID
 
     from kncal.engines.base import Progress
 
 #: Width of tables of text where there is no terminal, and room in which a table of numbers is measured.
 _TEXT_WIDTH, _ROOM = 140, 500
+#: Without a terminal progress is told so often [s].
+MINUTE = 60.0
 _JSON_PRINTED: ContextVar[bool] = ContextVar("json_printed", default=False)
 
 
@@ -102,7 +109,7 @@ ProgressFor = Callable[[str], "Progress"]
 
 @contextmanager
 def progress_bars() -> Iterator[ProgressFor]:
-    """Show one progress bar per model on stderr (nothing is drawn where stderr is not a terminal)."""
+    """Show one progress bar per model on stderr (see `bars`)."""
     from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 
     columns = (
@@ -111,43 +118,44 @@ def progress_bars() -> Iterator[ProgressFor]:
         TextColumn("{task.completed:.0f}/{task.total:.0f} steps"),
         TimeRemainingColumn(),
     )
-    with _bars(columns) as bars:
-        yield _progress_for(bars, lambda _: 1.0)
+    with bars(*columns) as shown:
+        yield _progress_for(shown, lambda _: (1.0, "steps"))
 
 
 @contextmanager
 def time_bars(intervals: Mapping[str, float]) -> Iterator[ProgressFor]:
     """Show one bar per model on stderr: simulated time, simulated over wall time, and the wall time that is left.
 
-    ``intervals``: the simulated time [s] of one unit of progress, by model. Until the first progress a bar says that
-    the run is being prepared.
+    ``intervals``: the simulated time [s] of one unit of progress, by model; of what is none (the packing) steps are
+    shown. Until the first progress a bar says that the run is being prepared.
     """
-    from datetime import timedelta
-
-    from rich.progress import BarColumn, ProgressColumn, Task, TextColumn
+    from rich.progress import BarColumn, ProgressColumn, TextColumn
     from rich.text import Text
 
     class Times(ProgressColumn):
         def render(self, task: Task) -> Text:
             if task.total is None:
                 return Text("preparing")
-            text = f"{task.completed:.3f} of {task.total:.3f} s simulated"
-            if speed := task.finished_speed or task.speed:
-                text += f", {quantity(speed, 's', 3)} per s"
-            if task.time_remaining:
-                text += f", {timedelta(seconds=round(task.time_remaining))} left"
+            if task.fields["unit"] == "steps":
+                text = f"{task.completed:.0f} of about {task.total:.0f} steps"
+            else:
+                text = f"{task.completed:.3f} of {task.total:.3f} s simulated"
+                if speed := task.finished_speed or task.speed:
+                    text += f", {quantity(speed, 's', 3)} per s"
+            if left := _left(task):
+                text += f", {left} left"
             return Text(text, no_wrap=True)
 
     columns = (TextColumn("{task.description:>8}"), BarColumn(bar_width=12), Times())
-    with _bars(columns) as bars:
-        start = bars.add_task("start", total=None)
-        made = _progress_for(bars, intervals.__getitem__)
+    with bars(*columns) as shown:
+        start = shown.add_task("start", total=None)
+        made = _progress_for(shown, lambda k: (intervals[k], "s simulated") if k in intervals else (1.0, "steps"))
 
         def for_model(kind: str) -> Progress:
             advance = made(kind)
 
             def go_on(done: int, total: int) -> None:
-                bars.update(start, visible=False)
+                shown.update(start, visible=False)
                 advance(done, total)
 
             return go_on
@@ -156,33 +164,77 @@ def time_bars(intervals: Mapping[str, float]) -> Iterator[ProgressFor]:
 
 
 @contextmanager
-def working(what: str) -> Iterator[None]:
-    """Show on stderr that something is going on whose length is not known."""
+def working(what: str) -> Iterator[Callable[[str], None]]:
+    """Show on stderr that something is going on whose length is not known; gives a function that names it."""
     from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
 
-    with _bars((TextColumn("{task.description:>8}"), BarColumn(), TimeElapsedColumn())) as bars:
-        bars.add_task(what, total=None)
-        yield
+    with bars(TextColumn("{task.description:>8}"), BarColumn(), TimeElapsedColumn()) as shown:
+        task = shown.add_task(what, total=None)
+        yield lambda now: shown.update(task, description=now)
 
 
-def _bars(columns: Sequence[Any]) -> RichProgress:
+@contextmanager
+def bars(*columns: Any) -> Iterator[RichProgress]:
+    """Show progress bars on stderr; where that is no terminal, a line a minute for each that is going on."""
     from rich.progress import Progress as RichProgress
 
     screen = console(stderr=True)
-    return RichProgress(*columns, console=screen, disable=not screen.is_terminal)
+    live = screen.is_terminal
+    shown = RichProgress(*columns, console=screen, disable=not live)
+    with shown, nullcontext() if live else _lines(shown):
+        yield shown
 
 
-def _progress_for(bars: RichProgress, unit_of: Callable[[str], float]) -> ProgressFor:
+@contextmanager
+def _lines(shown: RichProgress) -> Iterator[None]:
+    ended = Event()
+
+    def tell() -> None:
+        while not ended.wait(MINUTE):
+            for task in shown.tasks:
+                if task.visible and not task.finished:
+                    note(_line(task))
+
+    thread = Thread(target=tell, name="kncal-progress", daemon=True)
+    start_deaf(thread)
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
+def _line(task: Task) -> str:
+    """Return how far something is: ``linear: 1200 of 4000 steps, 30 %, 0:02:00 so far, 0:04:40 left``."""
+    parts = []
+    if task.total:
+        parts.append(task.fields.get("text") or f"{task.completed:.6g} of {task.total:.6g} {task.fields['unit']}")
+        parts.append(f"{task.percentage:.0f} %")
+    parts.append(f"{timedelta(seconds=round(task.elapsed or 0.0))} so far")
+    if (left := _left(task)) is not None:
+        parts.append(f"{left} left")
+    return f"{task.description}: {', '.join(parts)}"
+
+
+def _left(task: Task) -> timedelta | None:
+    """Return the time that is left at the mean speed so far; rich's own forgets it where the total changes."""
+    done = task.completed - task.fields.get("first", math.inf)
+    if task.total is None or task.finished or not done > 0.0:
+        return None
+    return timedelta(seconds=round((task.elapsed or 0.0) * (task.total - task.completed) / done))
+
+
+def _progress_for(shown: RichProgress, unit_of: Callable[[str], tuple[float, str]]) -> ProgressFor:
     """Return what gives each model its progress callback; its bar appears with the first call."""
     tasks: dict[str, TaskID] = {}
 
     def for_model(kind: str) -> Progress:
-        unit = unit_of(kind)
+        scale, unit = unit_of(kind)
 
         def advance(done: int, total: int) -> None:
             if kind not in tasks:
-                tasks[kind] = bars.add_task(kind, total=unit * total)
-            bars.update(tasks[kind], completed=unit * done, total=unit * total)
+                tasks[kind] = shown.add_task(kind, total=scale * total, unit=unit, first=scale * done)
+            shown.update(tasks[kind], completed=scale * done, total=scale * total)
 
         return advance
 

@@ -46,8 +46,10 @@ def stability(
     folder = out if out is not None else Path("runs") / f"{scene.name}_stability"
     refuse_other(folder, RECORD, STARTED, case)
     scene = measured(scene, folder / SPEED, engine=engine, transport=transport)
-    with show.working("probes"):
-        found = study_stability(scene, folder, engine=engine, quick=quick, transport=transport, workers=workers)
+    with show.working("probes") as now:
+        found = study_stability(
+            scene, folder, engine=engine, quick=quick, transport=transport, workers=workers, tell=now
+        )
         page = write_stability(found, folder)
     if json:
         show.as_json(found.to_dict() | {"report": str(page)})

@@ -302,7 +302,7 @@ def _check_flags(case: str, engine: str, transport: str) -> None:
 
 
 class _Told:
-    """What the progress of a sweep is told to: a bar, or nothing where stderr is no terminal."""
+    """What the progress of a sweep is told to."""
 
     def __init__(self, update: Callable[[str, int, int, str], None]) -> None:
         self._update = update
@@ -325,15 +325,9 @@ def _time(seconds: float) -> str:
 
 @contextmanager
 def _bar() -> Iterator[_Told]:
-    from rich.progress import BarColumn, Progress, TextColumn
+    from rich.progress import BarColumn, TextColumn
 
-    screen = show.console(stderr=True)
-    columns = (
-        TextColumn("{task.description:>8}"),
-        BarColumn(),
-        TextColumn("{task.fields[text]}"),
-    )
-    with Progress(*columns, console=screen, disable=not screen.is_terminal) as bars:
+    with show.bars(TextColumn("{task.description:>8}"), BarColumn(), TextColumn("{task.fields[text]}")) as bars:
         task = bars.add_task("checking", total=None, text="")
 
         def update(what: str, done: int, total: int, text: str) -> None:

@@ -95,7 +95,8 @@ def trade(
         transport=transport,
     )
     folder = out if out is not None else Path("runs") / f"{scene.name}_trade"
-    result = run_trade(case, folder, options, show.note, overrides=overrides or ())
+    with show.working("trade"):
+        result = run_trade(case, folder, options, show.note, overrides=overrides or ())
     if json:
         show.as_json(result.to_dict())
     else:

@@ -97,15 +97,14 @@ def trim(
 
 @contextmanager
 def _told() -> Iterator[OnStudyProgress]:
-    """Show on stderr how far the runs are, where it is a terminal."""
-    from rich.progress import BarColumn, Progress, TextColumn
+    """Show on stderr how far the runs are."""
+    from rich.progress import BarColumn, TextColumn
 
     from kncal.sweep import SweepProgress
 
-    screen = show.console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.0f}/{task.total:.0f} runs"))
-    with Progress(*columns, console=screen, disable=not screen.is_terminal) as bars:
-        task = bars.add_task("checking", total=1)
+    with show.bars(*columns) as bars:
+        task = bars.add_task("checking", total=1, unit="runs")
 
         def told(number: int, rounds: int, model: str, progress: SweepProgress) -> None:
             text = f"round {number} of {rounds}, {model}"

@@ -139,7 +139,7 @@ def bed_edges(
     if scene.gas is None or scene.particles.frozen or scene.particles.count < 2 or scene.gravity == 0.0:
         return []
     small = reduced(scene)
-    positions = start_positions(small)
+    positions = start_positions(small, tell=tell)
     edges = []
     for name, unit, points, codes in _scans(small, quick=quick):
         runs: list[BedPoint] = []

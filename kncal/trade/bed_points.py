@@ -16,6 +16,7 @@ from kncal.bed.workflow import start_positions
 from kncal.case_file import CASE, dump_case, load_case
 from kncal.case_text import MOST_BYTES, toml_value
 from kncal.contact.registry import get_law
+from kncal.earlier import Tell
 from kncal.errors import CaseFileError, InputError
 from kncal.fluidization import minimum_fluidization_velocity
 from kncal.io.tables import write_text
@@ -38,7 +39,9 @@ _EPS_MF = 0.45
 _DIGITS = 8  # of a position; a thousandth of a diameter matters to no start
 
 
-def shared_case(case: str | Path, scene: BedScene, folder: Path) -> tuple[Path, tuple[str, ...]]:
+def shared_case(
+    case: str | Path, scene: BedScene, folder: Path, tell: Tell | None = None
+) -> tuple[Path, tuple[str, ...]]:
     """Write the case that all candidates are variants of, from one start; return it, and what to know about it.
 
     Raises
@@ -57,7 +60,7 @@ def shared_case(case: str | Path, scene: BedScene, folder: Path) -> tuple[Path, 
         else:
             settled, told = settling(scene)
             notes += [told] if told else []
-            rows = np.round(start_positions(settled), _DIGITS).tolist()
+            rows = np.round(start_positions(settled, tell=tell), _DIGITS).tolist()
             particles = replace(particles, packing="given", positions=tuple((x, y, z) for x, y, z in rows))
     text = dump_case(replace(scene, particles=particles))
     if len(text.encode()) > MOST_BYTES:

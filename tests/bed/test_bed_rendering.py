@@ -7,7 +7,6 @@ import os
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -224,6 +223,44 @@ def test_the_bar_of_a_bed_tells_simulated_time_speed_and_what_is_left():
     assert max(len(line) for line in re.split(r"[\r\n]+", text)) <= 100
 
 
-def test_no_bar_where_no_terminal_is(tmp_path: Path):
+def test_no_bar_where_no_terminal_is():
     done = subprocess.run([sys.executable, "-c", _BAR], capture_output=True, text=True, check=True)
-    assert done.stdout + done.stderr == ""
+    assert done.stdout + done.stderr == ""  # it takes less than a minute
+
+
+_SLOW = """
+import time
+from kncal.cli import show
+show.MINUTE = 0.4
+with show.time_bars({"linear": 0.5}) as progress_for:
+    time.sleep(0.6)
+    for kind, first, steps in (("packing", 0, 100), ("linear", 10, 20)):
+        advance = progress_for(kind)
+        for done in range(first + 1, steps + 1):
+            time.sleep(0.9 / (steps - first))
+            advance(done, steps)
+with show.progress_bars() as progress_for:
+    advance = progress_for("hertz")
+    advance(1, 4)
+    time.sleep(0.6)
+with show.working("measuring") as now:
+    now("round 1")
+    time.sleep(0.6)
+"""
+
+
+def test_without_a_terminal_progress_is_a_line_a_minute():
+    """The minute is 0.4 s here. Each job takes 0.6 to 0.9 s: one line or two of each, on standard error."""
+    done = subprocess.run([sys.executable, "-c", _SLOW], capture_output=True, text=True, check=True)
+    assert done.stdout == ""
+    lines = done.stderr.splitlines()
+    for start in ("start: ", "packing: ", "linear: ", "hertz: 1 of 4 steps, 25 %", "round 1: "):
+        assert 1 <= sum(line.startswith(start) for line in lines) <= 3, (start, lines)
+    assert len(lines) == len([line for line in lines if re.search(r"0:00:\d\d so far", line)])
+    (done_, total, unit, percent, left) = re.search(
+        r"^linear: ([\d.]+) of ([\d.]+) (.*?), (\d+) %, .*, (\S+) left$", done.stderr, re.MULTILINE
+    ).groups()
+    assert (float(total), unit) == (10.0, "s simulated")
+    assert 5.0 < float(done_) < 10.0
+    assert int(percent) == round(10.0 * float(done_))
+    assert left in ("0:00:00", "0:00:01")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import tracemalloc
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
+from kncal.bed import packing as packing_module
 from kncal.bed.packing import PACKINGS, lattice, packing
 from kncal.coupling.dem import LiggghtsDem
 from kncal.errors import InputError, RunError
@@ -139,6 +141,29 @@ def test_packings_are_kept_by_their_inputs(tmp_path: Path) -> None:
     packing(model(bed, k_n=150.0), tmp_path)
     packing(model(replace(bed, particles=replace(bed.particles, seed=7))), tmp_path)
     assert len(list(tmp_path.glob("*.npz"))) == 3
+
+
+@solver
+def test_settling_says_what_it_does_and_how_far_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bed = scene(60, contact=ContactChoice(e_n=0.5, friction=0.3))
+    alone = packing(model(bed))
+    monkeypatch.setattr(packing_module, "_PART", 60 * 100)  # parts of 100 steps
+    monkeypatch.setattr(packing_module, "_LONG", 0.0)
+    said: list[str] = []
+    seen: list[tuple[int, int]] = []
+    together = packing(model(bed), tmp_path, tell=said.append, progress=lambda done, total: seen.append((done, total)))
+    assert np.array_equal(alone, together)  # to tell it in parts changes nothing
+    assert "60 particles" in said[0]
+    assert re.search(r"\d:\d\d:\d\d", said[1])
+    done = [number for number, _ in seen]
+    assert done == sorted(done)
+    assert max(np.diff(done)) <= 100
+    assert all(number <= total for number, total in seen)
+    assert seen[-1] == (done[-1], done[-1])
+    half = next(total for number, total in seen if number >= 0.5 * done[-1])
+    assert 0.5 < half / done[-1] < 2.0
+    packing(model(bed), tmp_path, tell=said.append)  # nothing is settled that is kept
+    assert len(said) == 2
 
 
 @solver
