@@ -10,7 +10,7 @@ from kncal.case_file import dump_case
 from kncal.errors import KncalError, RunError
 from kncal.integrator import integrate
 from kncal.io.tables import write_text
-from kncal.stability.limits import advised_limit, arrangement_limit
+from kncal.stability.limits import advised_limit, arrangement_limit, impact_limit
 from kncal.stability.outcome import REFUSED, Outcome, judge, outcome_of_error, outcome_of_failure
 from kncal.stability.probes import Probe, at_step
 from kncal.study import Variant, run_variants
@@ -54,19 +54,29 @@ class Edge:
     Attributes
     ----------
     probe : Probe
-    advised : the limit that kncal advises by, `kncal.timestep.verlet_limit` with the probe's number of contacts [s]
+    advised : the limit that kncal advises by, `kncal.timestep.verlet_limit` with the probe's number of contacts, for
+        the case's own contacts: at the largest overlap of an impact at v_0 [s]
+    limit : the same at the overlaps of the probe, which may be far smaller (a Hertz contact is softer there) [s]
     arrangement : the limit of this very arrangement, `kncal.stability.limits.arrangement_limit` [s]
-    measured : engine -> Bracket
+    measured : engine -> Bracket, of the probe
     """
 
     probe: Probe
     advised: float
+    limit: float
     arrangement: float
     measured: Mapping[str, Bracket]
 
     def safe_by(self, engine: str) -> float:
-        """Return by which share the edge lies above the advised limit; below zero: the advice is unsafe."""
-        return self.measured[engine].middle / self.advised - 1.0
+        """Return by which share the edge lies above the limit by the formula; below zero: the advice is unsafe."""
+        return self.measured[engine].middle / self.limit - 1.0
+
+    def at_v_0(self, engine: str) -> float:
+        """Return the edge [s] of the case's own contacts: as far from the advised limit as the probe's from its own.
+
+        Exact for a damping that scales with the stiffness (linear, elastic, tsuji).
+        """
+        return self.advised * (1.0 + self.safe_by(engine))
 
     def off_by(self, engine: str) -> float:
         """Return by which share the edge lies above the limit of the arrangement: zero within the resolution."""
@@ -164,6 +174,13 @@ def edges(
         measured = {"builtin": own}
         if liggghts is not None and liggghts(probe, ((own.low, STEPS),))[0].code != REFUSED:
             measured["liggghts"] = find_edge(liggghts, probe, own.low, own.high)
-        advised = advised_limit(probe.model, probe.contacts)
-        found.append(Edge(probe=probe, advised=advised, arrangement=limit, measured=measured))
+        found.append(
+            Edge(
+                probe=probe,
+                advised=impact_limit(probe.model, probe.contacts),
+                limit=advised_limit(probe.model, probe.contacts),
+                arrangement=limit,
+                measured=measured,
+            )
+        )
     return found

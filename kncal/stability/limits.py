@@ -68,7 +68,7 @@ def tangent(contact: PairContact, delta: float) -> tuple[float, float]:
 
 
 def advised_limit(model: Model, contacts: float) -> float:
-    """Return the largest step [s] that `kncal.timestep.verlet_limit` allows, over the contacts there at t = 0.
+    """Return the largest step [s] that `kncal.timestep.verlet_limit` allows, for the contacts there at t = 0.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def advised_limit(model: Model, contacts: float) -> float:
 
 
 def impact_limit(model: Model, contacts: float = 1.0) -> float:
-    """Return the same of a scene that does not touch yet, at the largest overlap of an impact at v_0 [s]."""
+    """Return the same for all contacts of a scene, at the largest overlap of an impact at v_0 [s]."""
     numbers = [(*tangent(c, c.delta_max), c.m_eff) for c in model.contacts.values() if c.delta_max]
     if not numbers:
         raise InputError(f"{model.scene.name}: no contact has an impact speed: expected contact.v_0 [m/s]")

@@ -80,7 +80,7 @@ def write_stability(found: Stability, folder: Path) -> Path:
 
 
 def edge_table(found: Stability) -> Table:
-    """Return the edges as text, one row per probe: the edge that counts beside theory."""
+    """Return the edges as text, one row per probe: the edge that counts, of the case's own contacts, beside theory."""
     rows = []
     for e in found.edges:
         p, engine = e.probe, found.engine_of(e)
@@ -93,7 +93,7 @@ def edge_table(found: Stability) -> Table:
                 p.kind,
                 f"{p.e_n:g}",
                 str(p.contacts),
-                f"{quantity(b.middle, 's', 4)} ±{half:.2g} %",
+                f"{quantity(e.at_v_0(engine), 's', 4)} ±{half:.2g} %",
                 engine,
                 other[0] if other else "–",
                 quantity(e.advised, "s", 4),
@@ -103,7 +103,7 @@ def edge_table(found: Stability) -> Table:
             )
         )
     headings = (
-        "probe", "model", "e_n", "contacts", "edge", "by", "other engine", "advised limit", "advice is",
+        "probe", "model", "e_n", "contacts", "edge at v_0", "by", "other engine", "advised limit", "advice is",
         "off eigenvalues", "beyond",
     )  # fmt: skip
     return Table(headings, tuple(rows))

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 #: Column of `edge_frame` -> its unit.
 EDGE_UNITS = {
     "probe": "-", "model": "-", "e_n": "-", "contacts": "-", "size_ratio": "-", "engine": "-", "edge_low": "s",
-    "edge_high": "s", "advised": "s", "arrangement": "s", "safe_by": "-", "off_by": "-", "beyond": "-",
+    "edge_high": "s", "limit": "s", "edge_at_v_0": "s", "advised": "s", "arrangement": "s",
+    "safe_by": "-", "off_by": "-", "beyond": "-",
 }  # fmt: skip
 #: Column of `cell_frame` -> its unit.
 CELL_UNITS = {
@@ -124,6 +125,8 @@ class Stability:
                 engine,
                 bracket.low,
                 bracket.high,
+                e.limit,
+                e.at_v_0(engine),
                 e.advised,
                 e.arrangement,
                 e.safe_by(engine),

@@ -59,7 +59,7 @@ def test_the_command_writes_what_it_says(
 def edge(measured: float, advised: float) -> Edge:
     probe = pressed(ingredients(load_case("wall_impact")), "linear", 0.6, 2)
     bracket = Bracket(low=0.999 * measured, high=1.001 * measured, beyond="energy-gain")
-    return Edge(probe=probe, advised=advised, arrangement=measured, measured={"builtin": bracket})
+    return Edge(probe=probe, advised=advised, limit=advised, arrangement=measured, measured={"builtin": bracket})
 
 
 def test_unsafe_advice_is_called_so() -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from kncal import advise_time_step, calibrate, pair, wall_pair
 from kncal.case_file import load_case
 from kncal.errors import InputError
 from kncal.integrator import integrate
@@ -124,3 +125,29 @@ def test_liggghts_has_the_same_edge(tmp_path: Path) -> None:
     (edge,) = edges([pressed(SPHERE, "linear", 0.6, 2)], liggghts_runner(tmp_path))
     assert edge.measured["liggghts"].low == edge.measured["builtin"].low
     assert edge.measured["liggghts"].high == edge.measured["builtin"].high
+
+
+@pytest.mark.parametrize("contacts", [1, 2, 12])
+def test_advice_in_seconds_is_for_the_contact_of_the_case(contacts: int) -> None:
+    """Not for a Hertz cluster squeezed by a millionth of its diameter: what is advised is what the calibration gives.
+
+    For the falling particle of 4.4 ms: between two walls, and amid as many spheres as a dense packing has.
+    """
+    ball = ingredients(load_case("falling_particle"))
+    e_n, speed = ball.contact.e_n, ball.v_0
+    wall, both = wall_pair(ball.material, ball.radius, ball.wall), pair(ball.material, ball.radius)
+    for kind in ("linear", "hertz"):
+        (edge,) = edges([pressed(ball, kind, e_n, contacts)])
+        found = [
+            advise_time_step(
+                calibrate(p, v_0=speed, e_n=e_n, method=ball.contact.method or "mean_overlap"), 50, contacts
+            )
+            for p in ((wall, both) if contacts == 12 else (wall,))
+        ]
+        limits = [a.linear_limit if kind == "linear" else a.hertz_limit for a in found]
+        assert edge.advised == pytest.approx(min(map(float, limits)), rel=1e-9)
+        assert edge.advised < 4.4e-3
+        assert edge.at_v_0("builtin") >= edge.advised * (1.0 - RESOLUTION)
+        # a linear contact is as stiff under any load
+        if kind == "linear":
+            assert edge.at_v_0("builtin") == pytest.approx(edge.measured["builtin"].middle, rel=1e-9)
