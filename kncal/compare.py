@@ -19,6 +19,7 @@ from kncal.engines.base import RunResult
 from kncal.errors import InputError, RunError
 from kncal.metrics import ExactRow, MetricRow, judge, metric_order, metric_unit
 from kncal.model import Model
+from kncal.scene_limits import no_contact
 from kncal.trajectory import Trajectory
 from kncal.verdict import sentences
 
@@ -115,7 +116,7 @@ class Comparison:
                     names.extend({"–".join(pair)} - set(names))
         texts = [(code, f"{', '.join(names)}: {text}") for (code, text), names in pairs.items()]
         if not met:
-            texts.append(("no-contact", "no contact happened in either run: lengthen run.until_time"))
+            texts.append(("no-contact", no_contact(self.linear.model, self.hertz.model)))
         return tuple(texts)
 
     @property

@@ -26,6 +26,8 @@ START_LARGE = 0.25
 MOST_CONTACTS = 12
 #: Of limits of one sort this many are told one by one.
 MOST_ALIKE = 3
+#: Fewer frames in a contact than this, or frames of a bed, are no picture of it any more.
+FEWEST_FRAMES = 5
 
 _Bodies = tuple[Particle, Particle | Wall]
 #: Whom a limit concerns, how bad it is (within one sort), and what is said.
@@ -37,7 +39,8 @@ def check_scene(model: Model) -> tuple[Finding, ...]:
 
     Of bodies that are alike (`kncal.species`) the worst.
     """
-    found = [*_of_each_kind(model, [*_first_impacts(model), *_starts(model), *_resting(model)]), *_steps(model)]
+    alike = [*_first_impacts(model), *_starts(model), *_resting(model)]
+    found = [*_of_each_kind(model, alike), *_steps(model), *_recording(model)]
     return tuple(sorted(found, key=lambda finding: finding.level != "refuse"))
 
 
@@ -185,10 +188,38 @@ def _deepest(model: Model) -> Iterator[tuple[_Bodies, PairContact, str, float]]:
     return (item for _, item in found.values())
 
 
+def no_contact(*models: Model) -> str:
+    """Return why no contact is seen in the frames of runs of these models, and what to do."""
+    # in words alike for both models
+    sparse = [f for model in models for f in _recording(model)]
+    if sparse:
+        return f"no contact was recorded: {sparse[0].message}"
+    return "no contact happened: lengthen run.until_time"
+
+
+def _recording(model: Model) -> Iterator[Finding]:
+    """Whether frames are close enough for a contact to be seen in them; what is measured comes from frames alone."""
+    if model.record_every == 1 or not model.contacts:
+        return
+    names, contact = min(model.contacts.items(), key=lambda item: item[1].t_c)
+    fewest = contact.t_c / model.dt
+    frames = fewest / model.record_every
+    if frames >= FEWEST_FRAMES * (1.0 - 1e-9):
+        return  # a contact of few steps is told by its step
+    most = max(math.floor(fewest / FEWEST_FRAMES), 1)
+    found = f"has {frames:.2g} frames" if frames >= 1.0 else "can pass between two frames, and is not seen then"
+    yield Finding(
+        "not-recorded",
+        "warn",
+        f"{'–'.join(names)}: a contact lasts {fewest:.3g} steps and with a frame every {model.record_every} steps "
+        f"{found}: expected run.record_every = {most} at most",
+    )
+
+
 def _steps(model: Model) -> Iterator[Finding]:
     bodies = len(model.scene.bodies)
     most = float(min(max(bodies - 1, 1), MOST_CONTACTS))
-    shortest = min(c.t_c for c in model.contacts.values())
+    shortest = min((c.t_c for c in model.contacts.values()), default=math.inf)
     # a step that is not stable is worse than a coarse one: one is enough, the step is one for all pairs
     worst: tuple[bool, float, Finding] | None = None
     for (a, b), contact, who, _ in _deepest(model):

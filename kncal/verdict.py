@@ -2,15 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Protocol, TypeVar
 
 from kncal.cost import Cost, Speed
 from kncal.metrics import ExactRow, MetricRow
 from kncal.model import Model
 from kncal.units import percent, quantity
 
-#: A difference without a tolerance that is larger than this is named all the same.
-NOTABLE = 0.1
+#: The largest difference without a tolerance is named in the verdict if it is larger than this.
+NOTABLE = 0.01
+
+
+class Compared(Protocol):
+    """A row of a comparison, of single contacts or a bed."""
+
+    @property
+    def metric(self) -> str:
+        """Name."""
+        ...
+
+    @property
+    def difference(self) -> float | None:
+        """Of the two runs, over a scale [-]."""
+        ...
+
+    @property
+    def tolerance(self) -> float | None:
+        """Allowed size of the difference [-], None: informative."""
+        ...
+
+
+Row = TypeVar("Row", bound=Compared)
+
+
+def not_judged(rows: Sequence[Row], text_of: Callable[[Row], str]) -> str:
+    """Return what a verdict says of the largest difference that nobody judged; "" if nothing is judged, or it is small.
+
+    ``text_of`` writes the difference of a row.
+    """
+    left = [r for r in rows if r.tolerance is None and abs(r.difference or 0.0) > NOTABLE]
+    if not left or all(r.tolerance is None for r in rows):
+        return ""
+    worst = max(left, key=lambda r: abs(r.difference or 0.0))
+    return f" Not judged by any tolerance: {worst.metric}, {text_of(worst)}."
 
 
 def sentences(
@@ -27,7 +62,8 @@ def sentences(
     """
     minded = [f"Mind: {text}." for code, text in limits if code != "attraction"]
     notes = (*minded, *speed.caveats, *_notes(rows, exact))
-    return (_judgement(*models, rows), _speed(costs, speed), *notes)
+    judgement = _judgement(*models, rows) + not_judged(rows, lambda row: percent(row.difference))
+    return (judgement, _speed(costs, speed), *notes)
 
 
 def _judgement(linear: Model, hertz: Model, rows: Sequence[MetricRow]) -> str:
@@ -96,13 +132,6 @@ def factor(ratio: float, what: str) -> str:
 def _notes(rows: Sequence[MetricRow], exact: Sequence[ExactRow]) -> list[str]:
     notes = [f"{r.metric}: {r.reason}." for r in rows if r.verdict in ("ok", "outside") and r.reason]
     judged = any(r.tolerance is not None for r in rows)
-    ignored = [r for r in rows if judged and r.tolerance is None and abs(r.difference or 0.0) > NOTABLE]
-    if ignored:
-        worst = max(ignored, key=lambda r: abs(r.difference or 0.0))
-        notes.append(
-            f"Not judged, no tolerance is given: the largest such difference is {worst.metric}, "
-            f"{percent(worst.difference)}."
-        )
     blurred = [
         r.metric
         for r in rows

@@ -16,7 +16,7 @@ from kncal.bed.ramp import Branch
 from kncal.bed.rows import RMS, BedRow, called_by_chance, sampled
 from kncal.cost import Speed
 from kncal.units import quantity
-from kncal.verdict import allowed, factor
+from kncal.verdict import allowed, factor, not_judged
 
 
 def sentences(
@@ -35,8 +35,11 @@ def sentences(
     Every pair of models, costs and observations is (linear, hertz).
     """
     collide = bool(models[0].contacts) and observations[0].kind not in ("frozen", "gas")
+    # a difference that chance explains is none
+    told = [r for r in rows if r.tolerance is not None or r.significant is not False]
     missed = [text for verdict in ("outside", "undecided") if (text := known_sentence(known, verdict))]
-    first, *more = [*missed, _judgement(*models, rows, "Models alike" if missed else "Within tolerance")]
+    alike = _judgement(*models, rows, "Models alike" if missed else "Within tolerance")
+    first, *more = [*missed, alike + not_judged(told, difference_text)]
     return (
         first,
         _speed(costs, *speed) if collide else _no_contacts(costs, observations[0].kind),

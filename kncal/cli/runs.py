@@ -124,6 +124,7 @@ def run(
     """
     from kncal.bed.scene import BedScene
     from kncal.metrics import metric_unit
+    from kncal.scene_limits import no_contact
     from kncal.workflow import get_engine, load_run
 
     scene, folder = _load(case, out, overrides, trust_templates)
@@ -162,6 +163,9 @@ def run(
     rows.append(["dt", *(show.quantity(data.result.dt, "s") for data in runs.values())])
     rows.append(["CPU", *(show.quantity(data.result.cpu_seconds, "s", 3) for data in runs.values())])
     show.table(f"{scene.name} by {engine}", ["", *kinds], rows)
+    for kind, data in runs.items():
+        if not data.observations.contacts:
+            show.say(f"  {kind}: {no_contact(data.model)}")
     _print_warnings({kind: data.model for kind, data in runs.items()})
     show.say(f"run folder: {folder}")
 

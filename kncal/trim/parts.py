@@ -14,12 +14,11 @@ from kncal.bed.scene import DRAGS, PARCELS, BedScene
 from kncal.checks import one_of
 from kncal.needs import Needs, decide, untouched_walls
 from kncal.scene import ContactChoice, Scene
+from kncal.scene_limits import FEWEST_FRAMES
 from kncal.trim.base import OFF, ON, OTHER, Part
 
 #: Frames are tried this many times as far apart.
 SPARSER = 4
-#: Fewer frames of a bed, or frames in a contact, than this are no picture of it any more.
-FEWEST_FRAMES = 5
 #: Metrics of a bed that grow with its depth, or belong to a grid of that depth.
 OF_THE_DEPTH = ("kinetic_energy", "contacts", "bubble_number", "eps_g")
 

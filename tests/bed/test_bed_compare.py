@@ -249,3 +249,18 @@ def test_signals_of_both_runs_may_be_of_any_length():
     found = compare_beds(linear, run_data("hertz", 14, length=3.0, bubble=False), {})
     assert isinstance(found.linear, BedRunData)
     assert found.row("z_mean").difference is not None
+
+
+def test_the_verdict_names_the_largest_difference_that_nobody_judged():
+    """Overlaps 30 % larger: seen, and judged by nobody; of two differences seen the larger one is named."""
+    linear = run_data("linear", 31, length=40.0, bubble=False, means={"overlap_mean": 1.3 * MEANS["overlap_mean"]})
+    hertz = run_data("hertz", 32, length=40.0, bubble=False)
+    found = compare_beds(linear, hertz, {"z_mean": 0.05})
+    assert found.state == "within"
+    seen = {r.metric: abs(r.difference) for r in found.rows if r.tolerance is None and r.significant}
+    assert seen["overlap_mean"] > 0.2
+    assert f"Not judged by any tolerance: {max(seen, key=seen.__getitem__)}," in found.sentences[0]
+    judged = compare_beds(linear, hertz, dict.fromkeys(seen, 100.0))
+    named = [r for r in judged.rows if f"Not judged by any tolerance: {r.metric}," in judged.sentences[0]]
+    assert not any(r.significant is False for r in named)
+    assert "Not judged by" not in compare_beds(linear, hertz, {}).sentences[0]
