@@ -17,6 +17,7 @@ from kncal.checks import short
 from kncal.errors import CaseFileError, InputError, ReadError
 from kncal.io.files import read_limited
 from kncal.material import Material
+from kncal.other_files import kind_of_file
 from kncal.resources import folder
 from kncal.scene import ContactChoice
 
@@ -98,15 +99,28 @@ def read_case(case: str | Path, name: str | None = None) -> CaseText:
     try:
         data = read_limited(path, MOST_BYTES, "a case file of a few kilobytes")
     except ReadError as error:
-        raise CaseFileError(str(error)) from error
+        raise _no_case(str(path), "") or CaseFileError(str(error)) from error
     try:
         text = data.decode("utf-8")
     except UnicodeDecodeError as error:
+        if other := _no_case(str(path), data.decode("latin-1")):
+            raise other from error
         line = data.count(b"\n", 0, error.start) + 1
         raise CaseFileError(f"{path}, line {line}: not UTF-8 text ({error.reason}): expected a TOML file") from error
     if name is None:
         name = path.resolve().parent.name if path.name == CASE else path.stem
     return CaseText(text, name, str(path))
+
+
+def _no_case(where: str, text: str) -> CaseFileError | None:
+    """Return the refusal of a file that is something else, if its name or its beginning tells what."""
+    what = "" if where.endswith(".toml") else kind_of_file(where, text)
+    if not what:
+        return None
+    return CaseFileError(
+        f"{where}: {what}, it seems, not a case of kncal: expected a {CASE} (`kncal new wall_impact my_case` writes "
+        "one to fill in)"
+    )
 
 
 def parse_toml(text: str, where: str) -> dict[str, Any]:
@@ -122,6 +136,8 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
     except CaseFileError:
         raise
     except tomllib.TOMLDecodeError as error:
+        if other := _no_case(where, text):
+            raise other from error
         found = re.search(r"at line (\d+)", str(error))
         lines = text.splitlines()
         number = int(found[1]) if found else len(lines)
