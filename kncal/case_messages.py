@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from kncal.case_schema import CaseTable, Root, description, table_at
-from kncal.checks import short
+from kncal.checks import nearest, short
 from kncal.errors import CaseFileError
 
 if TYPE_CHECKING:
@@ -77,6 +76,8 @@ _EXPECTED = {
 
 def _cause(error: ErrorDetails) -> str:
     """The "expected ..." part of a message of our own, or what pydantic says."""
+    if error["type"] == "literal_error":
+        return _instead(str(error["input"]), re.findall(r"'([^']*)'", str(error.get("ctx", {}).get("expected", ""))))
     text = str(error.get("ctx", {}).get("error", error["msg"]))
     head, found, rest = text.partition("expected ")
     return found + rest if found else head[:1].lower() + head[1:]
@@ -90,10 +91,8 @@ def placed(path: KeyPath, message: str) -> Fault:
     return path, f"{_shown(path)}: {message}"
 
 
-def _instead(key: str, allowed: Iterable[str]) -> str:
-    allowed = list(allowed)
-    near = difflib.get_close_matches(key, allowed, n=1)
-    return f"expected one of {', '.join(allowed)}" + (f"; did you mean {near[0]!r}?" if near else "")
+def _instead(key: str, allowed: Collection[str]) -> str:
+    return f"expected one of {', '.join(allowed)}{nearest(key, allowed)}"
 
 
 def _shown(path: Iterable[str | int]) -> str:

@@ -163,11 +163,32 @@ def one_of(name: str, value: object, allowed: Collection[str]) -> str:
     """Return ``value`` if it is one of the ``allowed`` names, else raise `InputError` with the nearest name."""
     if isinstance(value, str) and value in allowed:
         return value
+    raise InputError(f"{name} = {short(value)}: expected one of {', '.join(sorted(allowed))}{nearest(value, allowed)}")
+
+
+#: What others call things, without underscores: what kncal calls them.
+_ALIASES = {
+    "restitution": "e_n", "coefficientofrestitution": "e_n", "cor": "e_n", "stiffness": "k_n", "mu": "friction",
+    "frictioncoefficient": "friction", "nu": "poisson", "poissonsratio": "poisson", "youngsmodulus": "young",
+    "e": "young", "rho": "density", "impactvelocity": "v_0", "impactspeed": "v_0", "superficialvelocity": "U_0",
+    "gidaspow": "ErgunWenYu", "ergun": "ErgunWenYu", "wenyu": "ErgunWenYu", "hunt": "hunt_crossley", "timestep": "dt",
+}  # fmt: skip
+
+
+def nearest(name: object, allowed: Collection[str]) -> str:
+    """Return "; did you mean 'e_n'?" for what is another word for, or looks like, one of ``allowed``; else ""."""
     import difflib
 
-    near = difflib.get_close_matches(value[:100], list(allowed), n=1) if isinstance(value, str) else []
-    hint = f"; did you mean {near[0]!r}?" if near else ""
-    raise InputError(f"{name} = {short(value)}: expected one of {', '.join(sorted(allowed))}{hint}")
+    if not isinstance(name, str):
+        return ""
+    plain = _plain(name)
+    near = [one for one in allowed if _plain(one) == plain or _ALIASES.get(plain) == one]
+    near = near or difflib.get_close_matches(name[:100], list(allowed), n=1)
+    return f"; did you mean {near[0]!r}?" if near else ""
+
+
+def _plain(name: str) -> str:
+    return re.sub("[^a-z0-9]", "", name[:100].lower())
 
 
 def short(value: object, most: int = 70) -> str:

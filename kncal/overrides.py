@@ -5,7 +5,6 @@ They are put into the TOML tables before these are validated, so a wrong one is 
 
 from __future__ import annotations
 
-import difflib
 import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
@@ -15,7 +14,7 @@ from enum import Enum
 from typing import Any
 
 from kncal.case_text import toml_key, toml_value
-from kncal.checks import instance, short
+from kncal.checks import instance, nearest, short
 from kncal.errors import CaseFileError, InputError
 
 _BARE_WORD = re.compile(r"[A-Za-z][A-Za-z0-9._-]*")
@@ -174,8 +173,7 @@ def _row(rows: list[Any], part: str, done: Sequence[str], override: Override) ->
 
 def _instead(part: str, known: Iterable[str]) -> str:
     known = list(known)
-    near = difflib.get_close_matches(part, known, n=1)
-    return f"one of {', '.join(known)}" + (f"; did you mean {near[0]!r}?" if near else "")
+    return f"one of {', '.join(known)}{nearest(part, known)}"
 
 
 def _shown(value: Any) -> str:

@@ -25,6 +25,8 @@ SPEED_RATIO_DOUBTFUL = 1e-2
 RESTITUTION_SMALL = 0.1
 #: g/(omega v_0) above which the resting load matters as much as the impact.
 GRAVITY_RATIO_DOUBTFUL = 0.1
+#: Radius [m] above which a sphere is asked about: a bead of 1 mm given as 1 has one of a metre.
+RADIUS_DOUBTFUL = 0.25
 #: Size ratio from which velocity Verlet with half-step velocities shows artefacts in tangential terms
 #: (arXiv 2410.14798).
 SIZE_RATIO_DOUBTFUL = 3.0
@@ -94,6 +96,11 @@ def _checks(c: Calibration, law: ContactLaw, linear: DimensionlessImpact) -> Ite
             "overlap-large",
             f"maximum overlap of the {name} contact is {{:.3g}} of the smaller radius (doubtful above 0.1)",
         )
+
+    radius = np.asarray(pair.R_min)
+    yield from _warn(
+        radius > RADIUS_DOUBTFUL, radius, "radius-large", "a radius of {:.3g} m: lengths are in m, 1 mm is 1e-3"
+    )
 
     speed_ratio = np.asarray(c.v_0 / pair.wave_speed)
     yield from _warn(

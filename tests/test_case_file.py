@@ -438,6 +438,55 @@ def test_overlap_below_the_smaller_radius_is_a_start() -> None:
     parse_case(changed("[0.002, 0.0, 0.0]", "[0.002, 0.0, -0.0098]"), name="sample")  # into the floor by 0.8 mm
 
 
+@pytest.mark.parametrize(
+    ("case", "override", "meant"),
+    [
+        ("wall_impact", "contact.en=0.5", "e_n"),
+        ("wall_impact", "contact.restitution=0.5", "e_n"),
+        ("wall_impact", "contact.kn=1e5", "k_n"),
+        ("wall_impact", "contact.v0=1.0", "v_0"),
+        ("wall_impact", "contact.law=hunt-crossley", "hunt_crossley"),
+        ("bubbling_bed_mini", "gas.u0=0.5", "U_0"),
+        ("bubbling_bed_mini", "gas.drag=gidaspow", "ErgunWenYu"),
+        ("bubbling_bed_mini", "gas.drag=plessismasliyah", "PlessisMasliyah"),
+        ("bubbling_bed_mini", "contact.coefficient_of_restitution=0.9", "e_n"),
+    ],
+)
+def test_another_word_for_a_key_or_a_value_is_understood(case: str, override: str, meant: str) -> None:
+    with pytest.raises(CaseFileError, match=f"did you mean '{meant}'"):
+        load_case(case, overrides=[override])
+
+
+FOREIGN = {
+    "in.liggghts": ("LIGGGHTS", b"# hopper\natom_style granular\nunits si\nfix m1 all property/global x\n"),
+    "hopper": ("LIGGGHTS", b"# a comment\n\n  pair_style gran model hertz tangential history\n"),
+    "hopper.stl": ("STL", b"solid hopper\n facet normal 0 0 1\n"),
+    "binary.stl": ("STL", b"\x80\xff" * 50 + b"\x01"),
+    "large.stl": ("STL", b"\x00\xff" * MOST_BYTES),
+    "x.mfx": ("MFiX", b"RUN_NAME = 'x'\n# a comment\nTSTOP = 2.0 5\n"),
+    "project": ("MFiX", b"! a project\nRUN_NAME = 'x'\nTSTOP 2.0\n"),
+    "controlDict": ("OpenFOAM", b"FoamFile\n{\n version 2.0;\n}\n"),
+    "post.dump": ("dump", b"ITEM: TIMESTEP\n0\n"),
+    "spheres.vtk": ("VTK", b"# vtk DataFile Version 3.0\nspheres\n"),
+    "scene.py": ("Python", b"from yade import pack\nO.bodies.append(sphere((0, 0, 0), 1))\n"),
+    "case.json": ("JSON", b'{"materials": {}}'),
+}
+
+
+@pytest.mark.parametrize("name", FOREIGN)
+def test_a_file_of_another_kind_is_named(tmp_path: Path, name: str) -> None:
+    what, data = FOREIGN[name]
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(CaseFileError, match=rf"{what}.*expected a case\.toml"):
+        load_case(tmp_path / name)
+
+
+def test_a_slip_in_a_case_is_no_file_of_another_kind(tmp_path: Path) -> None:
+    (tmp_path / "case.toml").write_text(changed("gravity =", "units gravity"))
+    with pytest.raises(CaseFileError, match=r"case\.toml, line 2: .*units gravity"):
+        load_case(tmp_path)
+
+
 def test_a_single_body_has_nothing_to_touch() -> None:
     with pytest.raises(CaseFileError, match=r"particles: a single particle and no wall.*expected a second particle or"):
         load_case("falling_particle", overrides=["walls.floor=none"])

@@ -1,5 +1,6 @@
 """The command line as a user meets it: exit codes, data for machines, clear complaints."""
 
+import dataclasses
 import json
 import subprocess
 import sys
@@ -357,6 +358,51 @@ def test_collide_and_laws_and_needs_and_cases(capsys, tmp_path):
         code, out, _ = kncal(capsys, *command, "--json")
         assert code == 0, command
         assert json.loads(out)
+
+
+@pytest.mark.parametrize(
+    ("method", "flag", "value", "equal"),
+    [
+        # what each method keeps equal: the definition of its option
+        ("limited_overlap", "--fraction", 0.002, lambda c: c["delta_max"] / (2 * 1e-3)),
+        ("contact_time", "--t-c", 1e-4, lambda c: c["t_c"]),
+        ("static_load", "--force", 1e-3, lambda c: (c["k_n"] / c["pair"]["k_h"] ** (2 / 3)) ** 3),
+        ("youngs_modulus", "--factor", 0.01, lambda c: c["k_n"] / (c["pair"]["E_eff"] * c["pair"]["R_eff"])),
+    ],
+)
+def test_collide_takes_the_options_of_its_method(capsys, tmp_path, method, flag, value, equal):
+    arguments = (*KN[1:], "--method", method, flag, value, "--out", tmp_path / "one.svg", "--json")
+    code, out, _ = kncal(capsys, "collide", *arguments)
+    assert code == 0
+    assert equal(json.loads(out)) == pytest.approx(value, rel=1e-9)
+    code, _, err = kncal(capsys, "collide", *KN[1:], flag, value, "--out", tmp_path / "one.svg")
+    assert code == 2
+    assert "mean_overlap" in err
+
+
+def test_a_bead_of_a_metre_is_asked_about(capsys):
+    given = [*KN[: KN.index("--radius") + 1], "1", *KN[KN.index("--radius") + 2 :]]
+    code, out, _ = kncal(capsys, *given, "--json")
+    assert code == 0
+    for row in json.loads(out)["methods"]:
+        assert "problem" in row or "radius-large" in [w["code"] for w in row["warnings"]]
+    _, out, _ = kncal(capsys, *KN, "--json")
+    assert "radius-large" not in out
+
+
+def test_new_names_the_folder_that_cannot_be_a_case_and_marks_what_was_changed(capsys, tmp_path):
+    from kncal.case_file import load_case, shipped_cases
+
+    code, _, err = kncal(capsys, "new", "wall_impact", tmp_path / "my wall")
+    assert code == 2
+    assert "'my wall'" in err
+    assert "cases/wall_impact" not in err
+    assert list(tmp_path.iterdir()) == []
+    for name in shipped_cases():
+        assert kncal(capsys, "new", name, tmp_path / name)[0] == 0
+        mine, shipped = load_case(tmp_path / name), load_case(name)
+        assert mine.source.startswith(f"changed from {name}: {shipped.source}"[:300])
+        assert dataclasses.replace(mine, source=shipped.source) == shipped
 
 
 def test_python_m_kncal_and_version():

@@ -288,6 +288,7 @@ def test_theory_names_every_warning() -> None:
     beads, unequal = kncal.pair(soft, 1e-3), kncal.pair(soft, 1e-3, soft, 4e-3)
     seen = [
         kncal.calibrate(beads, v_0=1.5, e_n=0.5),
+        kncal.calibrate(kncal.pair(kncal.Material(young=70e9, poisson=0.22, density=2500), 1.0), v_0=0.5, e_n=0.9),
         kncal.calibrate(beads, v_0=0.1, e_n=0.05),
         kncal.calibrate(beads, v_0=1e-5, e_n=0.9, law="hertz"),
         kncal.calibrate(beads, v_0=0.1, e_n=0.1, end="force"),

@@ -8,7 +8,7 @@ interval.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Literal
 
 import numpy as np
@@ -47,6 +47,21 @@ STATIC_LARGEST, STATIC_LARGE = 0.5, 0.05
 CONTACTS_DENSE = 12.0
 #: Walls that a particle touches at once, in a corner.
 CORNER = 3
+
+#: Limits of the single contacts, which differ from model to model.
+_OF_CONTACTS = ("dem-step", "static-overlap")
+
+
+def findings_of(models: Iterable[BedModel]) -> Iterator[Finding]:
+    """Yield the limits that the models of one bed run into; what both have of gas and coupling only once.
+
+    Coupling intervals of the models are whole numbers of their own steps, so numbers in the texts differ a little.
+    """
+    said: set[tuple[str, str]] = set()
+    for model in models:
+        found = [f for f in check_bed(model) if f.code in _OF_CONTACTS or (f.code, f.level) not in said]
+        said |= {(finding.code, finding.level) for finding in found}
+        yield from found
 
 
 def check_bed(model: BedModel, positions: ArrayLike | None = None) -> tuple[Finding, ...]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from kncal.bed.compare import BedComparison, BedRunData, compare_beds
-from kncal.bed.limits import check_bed
+from kncal.bed.limits import findings_of
 from kncal.bed.model import BedModel
 from kncal.bed.packing import packing
 from kncal.bed.planning import plan_bed
@@ -61,11 +61,7 @@ def plan_checked(scene: BedScene, kinds: Iterable[str]) -> dict[str, BedModel]:
         If a limit refuses the run, with every reason.
     """
     models = plan_bed(scene, [one_of("model", kind, KINDS) for kind in kinds])
-    refused: dict[str, None] = {}
-    for model in models.values():
-        for finding in check_bed(model):
-            if finding.level == "refuse":
-                refused[finding.message] = None
+    refused = dict.fromkeys(f.message for f in findings_of(models.values()) if f.level == "refuse")
     if refused:
         raise CaseFileError(f"{scene.name}: " + "; ".join(refused))
     return models
@@ -73,9 +69,9 @@ def plan_checked(scene: BedScene, kinds: Iterable[str]) -> dict[str, BedModel]:
 
 def warnings_of(models: Iterable[BedModel]) -> tuple[str, ...]:
     """Return what is to be minded about the runs, each text once: limits of the bed, and of its contacts."""
-    texts: dict[str, None] = {}
+    models = tuple(models)
+    texts = dict.fromkeys(finding.message for finding in findings_of(models) if finding.level == "warn")
     for model in models:
-        texts |= {finding.message: None for finding in check_bed(model) if finding.level == "warn"}
         for pair, contact in model.contacts.items():
             texts |= {f"{'–'.join(pair)}: {text}": None for text in contact.warnings.values()}
     return tuple(texts)

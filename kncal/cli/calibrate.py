@@ -318,6 +318,10 @@ def collide(
     *,
     contact: ContactFlags | None = None,
     method: Annotated[str, Parameter(help="how the linear contact is found")] = "mean_overlap",
+    fraction: Annotated[float | None, Parameter(help="allowed overlap of limited_overlap, of the diameter")] = None,
+    t_c: Annotated[float | None, Parameter(name="--t-c", help="duration [s] for contact_time")] = None,
+    force: Annotated[float | None, Parameter(help="resting force [N] for static_load")] = None,
+    factor: Annotated[float | None, Parameter(help="prefactor of youngs_modulus")] = None,
     out: Annotated[Path, Parameter(help="picture to write (.png or .svg)")] = Path("collide.png"),
     json: Json = False,
 ) -> None:
@@ -330,8 +334,15 @@ def collide(
 
     flags = contact or ContactFlags()
     pair = flags.pair()
+    given = {"fraction": fraction, "t_c": t_c, "force": force, "factor": factor}
     calibration = calibrate(
-        pair, v_0=flags.speed(), e_n=flags.restitution(), law=flags.law, method=method, end=flags.end
+        pair,
+        v_0=flags.speed(),
+        e_n=flags.restitution(),
+        law=flags.law,
+        method=method,
+        end=flags.end,
+        **{name: value for name, value in given.items() if value is not None},
     )
     plot_collision(calibration, out)
     data = calibration.to_dict()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import shutil
+import re
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -43,18 +43,31 @@ def new(case: str, folder: Path) -> None:
     folder
         A folder that does not exist yet.
     """
-    from kncal.case_file import load_case, shipped_cases
-    from kncal.checks import one_of
+    from kncal.case_file import shipped_cases
+    from kncal.checks import one_of, plain_name
     from kncal.resources import folder as resource
 
     one_of("case", case, shipped_cases())
     if folder.exists():
         raise InputError(f"{folder}: exists already; expected a new folder, nothing was changed")
+    name = folder.resolve().name
+    try:
+        plain_name("name of a case", name)
+    except InputError as error:
+        raise InputError(f"{folder}: a case is called as its folder; {error}; nothing was made") from error
     source = resource("cases") / case / "case.toml"
-    load_case(source, name=folder.resolve().name)  # a name that no case may have is refused before anything is made
+    text = _changed_from(case, source.read_text("utf-8"))
     folder.mkdir(parents=True)
-    shutil.copyfile(source, folder / "case.toml")
+    (folder / "case.toml").write_text(text, encoding="utf-8")
     show.say(f"{folder / 'case.toml'} is yours to edit; then: kncal compare {folder}")
+
+
+def _changed_from(case: str, text: str) -> str:
+    """Return the text of a shipped case with a source that will be true of what a user makes of it."""
+    from kncal.case_text import parse_toml, toml_value
+
+    source = f"changed from {case}: {parse_toml(text, case)['source']}"
+    return re.sub(r"(?m)^source = .*$", lambda _: f"source = {toml_value(source[:300])}", text, count=1)
 
 
 def needs(case: str, *, json: Json = False) -> None:

@@ -10,6 +10,7 @@ from kncal.bed.case_file import load_bed
 from kncal.bed.limits import (
     EPS_SETTLED,
     check_bed,
+    findings_of,
     largest_superficial,
     settled_height,
     settled_voidage,
@@ -302,3 +303,16 @@ def test_superficial_velocity_and_height():
     assert largest_superficial(load_bed("packed_bed")) == 0.6
     # a void fraction of 0 is the solid volume over the area
     assert settled_height(JET, 0.0) * 0.15 * 0.004 == pytest.approx(2400 * math.pi / 6.0 * 0.004**3)
+
+
+@pytest.mark.parametrize("changes", [{"coupling": 5e-2}, {"coupling": 5e-3, "gas_step": 5e-3}])
+def test_what_both_models_have_in_common_is_refused_once(changes):
+    scene = replace(MINI, run=replace(MINI.run, **changes))
+    both = plan_bed(scene)
+    assert both["linear"].coupling != both["hertz"].coupling  # so the numbers in the texts differ
+    codes = [f.code for f in findings_of(both.values()) if f.code in ("courant", "relaxation", "particle-way")]
+    assert codes
+    assert len(codes) == len(set(codes))
+    assert {f.code for f in check_bed(both["linear"]) if f.level == "refuse"} <= {
+        f.code for f in findings_of(both.values()) if f.level == "refuse"
+    }
