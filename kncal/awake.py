@@ -6,8 +6,11 @@ has been silent, and no run has used up its time: the pause is no one's.
 
 from __future__ import annotations
 
+import subprocess
 import threading
 import time
+from collections.abc import Sequence
+from typing import Any
 
 from kncal.stopping import start_deaf
 
@@ -50,3 +53,35 @@ _CLOCK = _Clock()
 def awake() -> float:
     """Return a time [s] for differences only, as `time.monotonic`, without what this process was stopped for."""
     return _CLOCK.seconds()
+
+
+def communicate(process: subprocess.Popen[Any], limit: float, given: Any = None) -> tuple[Any, Any]:
+    """Do as `subprocess.Popen.communicate` with a timeout of ``limit`` [s] of `awake`."""
+    deadline = awake() + limit
+    while True:
+        try:
+            return process.communicate(given, timeout=LOOK)
+        except subprocess.TimeoutExpired as late:
+            if awake() >= deadline:
+                raise subprocess.TimeoutExpired(process.args, limit, late.output, late.stderr) from late
+            given = None  # it is taken up from the first call
+
+
+def run_within(limit: float, command: Sequence[str], **options: Any) -> subprocess.CompletedProcess[Any]:
+    """Run a program to its end and return what it printed, as `subprocess.run` with a timeout of `awake`.
+
+    Raises
+    ------
+    subprocess.TimeoutExpired
+        If it has not ended within ``limit`` [s]; it is killed then.
+    """
+    given = options.pop("input", None)
+    options |= {"stdin": subprocess.DEVNULL if given is None else subprocess.PIPE}
+    options |= {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, **options) as process:  # noqa: S603 - a list of arguments, no shell
+        try:
+            out, err = communicate(process, limit, given)
+        except BaseException:
+            process.kill()
+            raise
+    return subprocess.CompletedProcess(command, process.returncode, out, err)

@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
 
+from kncal.awake import communicate
 from kncal.errors import KncalError
 from kncal.mpi import MPIRUN, run_ranks
 from kncal.resources import folder
@@ -367,7 +368,7 @@ def _ask(command: list[str], limit: float, environment: Mapping[str, str]) -> tu
         return "cannot be started", str(error)
     with process:
         try:
-            output, _ = process.communicate(timeout=limit)
+            output, _ = communicate(process, limit)
             late = False
         except subprocess.TimeoutExpired:
             # The whole group: a grandchild that holds the pipe open would keep us waiting.

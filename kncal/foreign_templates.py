@@ -24,6 +24,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from kncal.awake import run_within
 from kncal.errors import InputError, ReadError, RenderError
 from kncal.io.files import read_limited
 from kncal.io.text import decode_line
@@ -156,18 +157,12 @@ def render_apart(
     where = f"template {template} of --trust-templates"
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(entry for entry in sys.path if entry)}
     try:
-        done = subprocess.run(
-            [sys.executable, "-P", "-m", "kncal.foreign_templates"],
-            input=json.dumps(asked).encode(),
-            capture_output=True,
-            env=environment,
-            timeout=6 * SECONDS,
-            check=False,
-        )
+        command = (sys.executable, "-P", "-m", "kncal.foreign_templates")
+        done = run_within(6 * SECONDS, command, input=json.dumps(asked).encode(), env=environment)
     except subprocess.TimeoutExpired as error:
         raise RenderError(f"{where}: not rendered within {6 * SECONDS} s") from error
     if done.returncode == _DONE:
-        return done.stdout.decode("utf-8")
+        return str(done.stdout, "utf-8")
     lines = [text for line in done.stderr[-8192:].splitlines() if (text := decode_line(line).strip())]
     if done.returncode == _REFUSED and lines:
         raise RenderError(f"{where}: {lines[-1]}")

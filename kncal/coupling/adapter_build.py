@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from kncal.awake import awake
+from kncal.awake import awake, run_within
 from kncal.errors import KncalError
 from kncal.resources import cache_folder
 from kncal.runner import ProcessResult, run_process, solver_environment
@@ -281,22 +281,13 @@ def _environment() -> dict[str, str]:
 def _ask(command: Sequence[str], problem: str) -> str:
     """Return what a program that answers at once prints; ``problem`` says what it means if it does not."""
     try:
-        done = subprocess.run(  # noqa: S603 - a list of arguments, no shell
-            command,
-            capture_output=True,
-            text=True,
-            errors="replace",
-            timeout=_QUICK,
-            stdin=subprocess.DEVNULL,
-            env=_environment(),
-            check=False,
-        )
+        done = run_within(_QUICK, command, env=_environment(), text=True, errors="replace")
     except (OSError, subprocess.TimeoutExpired) as error:
         raise AdapterError(f"{problem} ({command[0]}: {error})") from error
     if done.returncode != 0:
         words = " ".join(done.stderr.split()) or f"exit code {done.returncode}"
         raise AdapterError(f"{problem} ({command[0]}: {words})")
-    return done.stdout
+    return str(done.stdout)
 
 
 def _run(command: Sequence[str], folder: Path, name: str) -> ProcessResult:

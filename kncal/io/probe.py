@@ -12,6 +12,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+from kncal.awake import run_within
 from kncal.errors import ReadError
 from kncal.io.text import decode_line
 
@@ -32,9 +33,7 @@ def probe(kind: str, path: Path, *arguments: str) -> None:
     # not the working folder: it may be a stranger's, and hold modules of its own
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(entry for entry in sys.path if entry)}
     try:
-        done = subprocess.run(  # noqa: S603 - a list of arguments, no shell
-            command, env=environment, stdin=subprocess.DEVNULL, capture_output=True, timeout=2 * SECONDS, check=False
-        )
+        done = run_within(2 * SECONDS, command, env=environment)
     except subprocess.TimeoutExpired as error:
         raise ReadError(f"{path}: cannot be read (the reader did not end within {2 * SECONDS} s)") from error
     if done.returncode == _READ:

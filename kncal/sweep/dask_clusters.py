@@ -21,6 +21,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
+from kncal.awake import run_within
 from kncal.errors import InputError, RunError
 from kncal.sweep.slurm_script import LOGS, SlurmOptions
 
@@ -271,16 +272,8 @@ def _security_in(folder: Path) -> Security:
 def _check_job(script: str, folder: Path) -> None:
     """Have Slurm look at the job before any is submitted: a refusal later on would be a sweep that waits for ever."""
     try:
-        done = subprocess.run(
-            ["sbatch", "--test-only"],  # noqa: S607 - the user's own Slurm
-            input=script,
-            cwd=folder,
-            capture_output=True,
-            text=True,
-            errors="replace",
-            timeout=_SBATCH,
-            check=False,
-        )
+        command = ("sbatch", "--test-only")  # the user's own Slurm
+        done = run_within(_SBATCH, command, input=script, cwd=folder, text=True, errors="replace")
     except (OSError, subprocess.TimeoutExpired) as error:
         raise RunError(f"sbatch --test-only gives no answer ({error}): is Slurm in order?", "peer-died") from error
     if done.returncode != 0:
