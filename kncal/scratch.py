@@ -115,6 +115,8 @@ def hold(path: Path, kind: int, *, anyway: bool = False) -> int | None:
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK)
     except OSError:
+        if anyway and os.path.lexists(path):  # it was just made, and nobody took it: no descriptor is left
+            raise
         return None
     about = os.fstat(descriptor)
     if stat.S_IFMT(about.st_mode) == kind and about.st_uid == os.geteuid():

@@ -337,7 +337,7 @@ def test_no_descriptor_leaks_where_there_is_no_room_for_temporary_files(tmp_path
     def no_room(**_: object) -> None:
         raise FileNotFoundError(errno.ENOENT, "No usable temporary directory found")
 
-    monkeypatch.setattr("kncal.runner.tempfile.TemporaryDirectory", no_room)
+    monkeypatch.setattr("kncal.scratch.tempfile.mkdtemp", no_room)
     before = len(list(Path("/proc/self/fd").iterdir()))
     with pytest.raises(FileNotFoundError):
         run_process(("true",), cwd=tmp_path, log=tmp_path / "log")
