@@ -18,8 +18,9 @@ from kncal.differences import Difference, Side, difference, finite, metric_names
 from kncal.engines.base import RunResult
 from kncal.errors import InputError, RunError
 from kncal.metrics import ExactRow, MetricRow, judge, metric_order, metric_unit
-from kncal.model import Model
+from kncal.model import Model, distinct
 from kncal.scene_limits import no_contact
+from kncal.species import listed
 from kncal.trajectory import Trajectory
 from kncal.verdict import sentences
 
@@ -114,7 +115,7 @@ class Comparison:
                 for warning in contact.warnings.items() if pair in met else ():
                     names = pairs.setdefault(warning, [])
                     names.extend({"–".join(pair)} - set(names))
-        texts = [(code, f"{', '.join(names)}: {text}") for (code, text), names in pairs.items()]
+        texts = [(code, f"{listed(names)}: {text}") for (code, text), names in pairs.items()]
         if not met:
             texts.append(("no-contact", no_contact(self.linear.model, self.hertz.model)))
         return tuple(texts)
@@ -287,8 +288,8 @@ def _cost(kind: str, data: RunData) -> Cost:
 
 
 def _contacts(model: Model) -> list[dict[str, Any]]:
-    """The contact of every pair, for the JSON file."""
+    """The contacts for the JSON file; pairs that are alike once, with their number."""
     return [
-        {"pair": list(pair), **{**asdict(contact), "warnings": dict(contact.warnings)}}
-        for pair, contact in model.contacts.items()
+        {"pair": list(names), "pairs_of_bodies": number, **{**asdict(contact), "warnings": dict(contact.warnings)}}
+        for names, (contact, number) in distinct(model.contacts).items()
     ]

@@ -33,7 +33,7 @@ from kncal.foreign_templates import foreign_hashes
 from kncal.io.files import MOST_HASHED, read_limited, sha256
 from kncal.io.tables import write_json
 from kncal.lock import LOCK, locked, sign
-from kncal.model import KINDS, Model
+from kncal.model import KINDS, Model, distinct
 from kncal.records import (
     ATTEMPT,
     MANIFEST,
@@ -237,7 +237,8 @@ def model_manifest(
         "steps": steps,
         "t_end": t_end,
         "contacts": {
-            f"{a}–{b}": {k: v for k, v in asdict(c).items() if v is not None} for (a, b), c in model.contacts.items()
+            f"{a}–{b}": {k: v for k, v in asdict(c).items() if v is not None} | {"pairs_of_bodies": number}
+            for (a, b), (c, number) in distinct(model.contacts).items()
         },
         "files_sha256": files,
         "rendered": _now(),

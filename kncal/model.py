@@ -61,6 +61,16 @@ class PairContact:
         return float((force / self.k) ** (1.0 / self.n))
 
 
+def distinct(contacts: Mapping[tuple[str, str], PairContact]) -> dict[tuple[str, str], tuple[PairContact, int]]:
+    """Return each contact once, with the number of pairs that have it, under the names of the first of them."""
+    first: dict[int, tuple[str, str]] = {}
+    number: dict[int, int] = {}
+    for names, contact in contacts.items():
+        first.setdefault(id(contact), names)
+        number[id(contact)] = number.get(id(contact), 0) + 1
+    return {names: (contacts[names], number[which]) for which, names in first.items()}
+
+
 @dataclass(frozen=True, kw_only=True)
 class Model:
     """One model of a scene, ready to be rendered or integrated.

@@ -24,6 +24,7 @@ from kncal.species import SpeciesPair, species_of
 MOST_STEPS = 500_000_000
 
 
+@lru_cache(maxsize=10_000)  # both models and the deck ask for the same pairs
 def pair_of(a: Particle, b: Particle | Wall) -> Pair:
     """Return the `Pair` of two bodies of a scene."""
     if isinstance(b, Wall):

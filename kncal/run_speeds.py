@@ -144,22 +144,23 @@ def _of_bed(folder: Path) -> RunSpeeds:
 
 
 def _of_contacts(folder: Path) -> RunSpeeds:
-    from kncal.planning import pair_choice, pair_of
+    from kncal.planning import pair_of, species_choices
     from kncal.workflow import load_run
 
     data = load_run(folder)
     scene, contacts = data.model.scene, [event for event in data.observations.contacts if event.v_in > 0.0]
     bodies = {(a.name, b.name): (a, b) for a, b in scene.body_pairs()}
+    species, choices = data.model.species, species_choices(scene)
     alike: dict[tuple[object, ...], list[ContactEvent]] = {}
     for event in contacts:
         contact = data.model.contacts[event.pair]
-        like = (contact.m_eff, contact.R_eff, contact.E_eff, pair_choice(scene, *bodies[event.pair]))
+        like = (contact.m_eff, contact.R_eff, contact.E_eff, choices[species.pair_of(event.pair)])
         alike.setdefault(like, []).append(event)
     groups = list(alike.values()) or [[]]
     met = []
     for names in [group[0].pair for group in groups if group] or list(bodies)[:1]:
         a, b = bodies[names]
-        numbers, contact = pair_choice(scene, a, b), data.model.contacts[names]
+        numbers, contact = choices[species.pair_of(names)], data.model.contacts[names]
         met.append(MetPair(names=names, both=pair_of(a, b), numbers=numbers, contact=contact))
     keys = [ALL] if len(met) == 1 else ["–".join(pair.names) for pair in met]
     return RunSpeeds(

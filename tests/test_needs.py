@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import replace
 from typing import Any
 
@@ -246,3 +247,14 @@ def test_two_spheres_need_the_span_of_offset_and_speed(offset: Vector, speed: Ve
     rank = np.linalg.matrix_rank(np.array([offset, speed]))
     assert needs.dimensions == (rank if needs.uses("pair_contacts") else 1)
     assert needs.uses("tangential") == (needs.uses("pair_contacts") and rank == 2)
+
+
+def test_needs_of_many_spinning_bodies_in_contact_are_decided_at_once() -> None:
+    # memory and time once went with the square of the number of contacts
+    heap = [(1.0 - 1e-3) * np.array([i % 4, i // 4 % 4, i // 16]) for i in range(48)]
+    balls = [ball(f"b{i}", tuple(x), spin=(float(i % 2), 0.0, 3.0)) for i, x in enumerate(heap)]
+    start = time.process_time()
+    needs = decide(scene(*balls, contact=ROUGH))
+    assert time.process_time() - start < 5.0
+    assert needs.dimensions == 3
+    assert needs.uses("tangential")
