@@ -15,6 +15,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
@@ -355,18 +356,21 @@ def _temporary_folder() -> Finding:
 
 def _ask(command: list[str], limit: float, environment: Mapping[str, str]) -> tuple[str, str]:
     """Run ``command`` with nothing to read; return how it failed (empty if it did not) and all it printed."""
-    try:
-        process = subprocess.Popen(  # noqa: S603 - an argument list, no shell, no text of a user
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            env=environment,
-            start_new_session=True,
-        )
-    except OSError as error:
-        return "cannot be started", str(error)
-    with process:
+    with ExitStack() as stack:
+        try:
+            # Solvers that start side by side must not share Open MPI's folder: the first to end removes it.
+            session = stack.enter_context(scratch())
+            process = subprocess.Popen(  # noqa: S603 - an argument list, no shell, no text of a user
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                env={**environment, "OMPI_MCA_orte_tmpdir_base": str(session)},
+                start_new_session=True,
+            )
+        except OSError as error:
+            return "cannot be started", str(error)
+        stack.enter_context(process)
         try:
             output, _ = communicate(process, limit)
             late = False

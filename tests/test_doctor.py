@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from concurrent.futures import ThreadPoolExecutor
 from importlib import metadata
 from pathlib import Path
 
@@ -189,3 +190,11 @@ def test_shipped_files_are_counted(here):
 
 def test_python_is_the_one_that_runs(here):
     assert sys.executable in finding(here[0], "Python").found
+
+
+@pytest.mark.solver
+def test_solvers_that_are_asked_side_by_side_all_answer():
+    """Open MPI's folder of a start goes with it: shared, about one start in 25 died of another's end."""
+    with ThreadPoolExecutor(8) as pool:
+        answers = list(pool.map(lambda _: doctor._liggghts(), range(100)))
+    assert {(a.ok, a.found) for a in answers} == {(True, answers[0].found)}

@@ -100,7 +100,7 @@ class Coupled:
         from kncal.doctor import solver_findings
 
         liggghts, openfoam = solver_findings()
-        missing = [f"{f.name} ({f.hint})" for f in (liggghts, openfoam) if not f.ok]
+        missing = [f"{f.name} (found: {f.found}; {f.hint})" for f in (liggghts, openfoam) if not f.ok]
         missing += [NO_MPIRUN] if self.ranks > 1 and shutil.which(MPIRUN) is None else []
         program = shutil.which("DPMFoam")
         return Profile(

@@ -191,7 +191,7 @@ with show.time_bars({"linear": 0.5, "hertz": 0.25}) as progress_for:
     for kind, couplings in (("linear", 4), ("hertz", 8)):
         advance = progress_for(kind)
         for done in range(1, couplings + 1):
-            time.sleep(0.06)
+            time.sleep(0.15)
             advance(done, couplings)
 """
 
