@@ -22,7 +22,7 @@ help:
 
 # Damaged and invented input files, many of them (about an hour).
 fuzz: setup-dev
-	KNCAL_FUZZ=$(EXAMPLES) $(PYTHON) -m pytest tests/fuzz -n 2 --timeout 0
+	KNCAL_FUZZ=$(EXAMPLES) $(PYTHON) -m pytest tests/promises/fuzz -n 2 --timeout 0
 
 # What is in runs/studies already is not run again.
 studies: setup adapter

@@ -11,9 +11,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from kncal.calibration import Calibration, calibrate
-    from kncal.case_file import load_case
-    from kncal.errors import (
+    from kncal.core.errors import (
         CaseFileError,
         InputError,
         KncalError,
@@ -23,10 +21,11 @@ if TYPE_CHECKING:
         SolverMissingError,
         ValidityError,
     )
-    from kncal.impact import DimensionlessImpact, dimensionless_impact
-    from kncal.material import Material, Pair, pair, wall_pair
-    from kncal.matrix import PairMatrix, calibrate_matrix
-    from kncal.timestep import (
+    from kncal.physics.calibration import Calibration, calibrate
+    from kncal.physics.impact import DimensionlessImpact, dimensionless_impact
+    from kncal.physics.material import Material, Pair, pair, wall_pair
+    from kncal.physics.matrix import PairMatrix, calibrate_matrix
+    from kncal.physics.timestep import (
         TimeStepAdvice,
         advise_time_step,
         advised_steps,
@@ -37,12 +36,13 @@ if TYPE_CHECKING:
         smallest_restitution,
         verlet_limit,
     )
-    from kncal.uncertainty import Propagation, propagate
+    from kncal.physics.uncertainty import Propagation, propagate
+    from kncal.scene.case_file import load_case
 
 _HOME = {
-    "kncal.calibration": ("Calibration", "calibrate"),
-    "kncal.case_file": ("load_case",),
-    "kncal.errors": (
+    "kncal.physics.calibration": ("Calibration", "calibrate"),
+    "kncal.scene.case_file": ("load_case",),
+    "kncal.core.errors": (
         "CaseFileError",
         "InputError",
         "KncalError",
@@ -52,10 +52,10 @@ _HOME = {
         "SolverMissingError",
         "ValidityError",
     ),
-    "kncal.impact": ("DimensionlessImpact", "dimensionless_impact"),
-    "kncal.material": ("Material", "Pair", "pair", "wall_pair"),
-    "kncal.matrix": ("PairMatrix", "calibrate_matrix"),
-    "kncal.timestep": (
+    "kncal.physics.impact": ("DimensionlessImpact", "dimensionless_impact"),
+    "kncal.physics.material": ("Material", "Pair", "pair", "wall_pair"),
+    "kncal.physics.matrix": ("PairMatrix", "calibrate_matrix"),
+    "kncal.physics.timestep": (
         "TimeStepAdvice",
         "advise_time_step",
         "advised_steps",
@@ -66,7 +66,7 @@ _HOME = {
         "smallest_restitution",
         "verlet_limit",
     ),
-    "kncal.uncertainty": ("Propagation", "propagate"),
+    "kncal.physics.uncertainty": ("Propagation", "propagate"),
 }
 _WHERE = {name: module for module, names in _HOME.items() for name in names}
 

@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from kncal.bed.model import BedModel
-from kncal.bed.scene import BedParticles, BedRun, BedScene, Column
-from kncal.checks import Array
-from kncal.impact import dimensionless_impact
-from kncal.material import Material, pair, wall_pair
-from kncal.model import PairContact
-from kncal.scene import ContactChoice
-from kncal.timestep import contact_time
+from kncal.core.checks import Array
+from kncal.physics.impact import dimensionless_impact
+from kncal.physics.material import Material, pair, wall_pair
+from kncal.physics.timestep import contact_time
+from kncal.scene.bed_model import BedModel
+from kncal.scene.bed_scene import BedParticles, BedRun, BedScene, Column
+from kncal.scene.model import PairContact
+from kncal.scene.scene import ContactChoice
 
 D, G = 1.2e-3, 9.81
 SOFT = Material(young=5e6, poisson=0.25, density=1000.0, name="soft")

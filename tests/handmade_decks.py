@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from kncal.model import Model
-from kncal.scene import Wall
+from kncal.scene.model import Model
+from kncal.scene.scene import Wall
 
 COLUMNS = "id x y z vx vy vz omegax omegay omegaz fx fy fz"
 

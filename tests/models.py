@@ -6,9 +6,9 @@ import dataclasses
 import math
 from collections.abc import Mapping
 
-from kncal.material import Material, pair, sphere_mass, wall_pair
-from kncal.model import Model, PairContact
-from kncal.scene import Particle, Scene, Vector, Wall
+from kncal.physics.material import Material, pair, sphere_mass, wall_pair
+from kncal.scene.model import Model, PairContact
+from kncal.scene.scene import Particle, Scene, Vector, Wall
 
 GLASS = Material(young=5e6, poisson=0.25, density=2500.0, name="soft glass")
 R = 1e-3

@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from kncal.units import quantity
+from kncal.core.units import quantity
 
 HERE = Path(__file__).resolve().parent
 RUNS = Path("runs/studies")

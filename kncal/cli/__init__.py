@@ -15,7 +15,7 @@ from cyclopts import App
 
 from kncal import __version__
 from kncal.cli import beds, calibrate, cases, failures, runs, show, stability, sweeps, trade, trim, upkeep
-from kncal.errors import InputError
+from kncal.core.errors import InputError
 
 app = App(
     name="kncal",

@@ -11,9 +11,9 @@ from cyclopts import App, Parameter
 from kncal.cli import show
 
 if TYPE_CHECKING:
-    from kncal.bed.compare import BedComparison
-    from kncal.bed.scene import BedScene
     from kncal.engines.base import RunResult
+    from kncal.observe.bed_compare import BedComparison
+    from kncal.scene.bed_scene import BedScene
 
 Transport = Annotated[
     Literal["auto", "live", "restart"],
@@ -26,7 +26,7 @@ adapter = App(name="adapter", help="The adapter of the live transport: a small l
 @adapter.command
 def build() -> None:
     """Build the adapter against the headers of this machine's OpenFOAM (downloads its source package, 45 MB)."""
-    from kncal.coupling.adapter_build import build as build_adapter
+    from kncal.engines.dpmfoam.adapter_build import build as build_adapter
 
     show.say(f"adapter: {build_adapter(progress=show.say)}")
 
@@ -34,7 +34,7 @@ def build() -> None:
 @adapter.command
 def status() -> int:
     """Say whether the adapter is built; exit code 4 if not."""
-    from kncal.coupling.adapter_build import find
+    from kncal.engines.dpmfoam.adapter_build import find
 
     library = find()
     show.say(f"adapter: {library}" if library else "adapter: not built; build it: kncal adapter build")
@@ -43,9 +43,9 @@ def status() -> int:
 
 def render_bed(scene: BedScene, folder: Path, kinds: tuple[str, ...], ranks: int, *, oversubscribe: bool) -> None:
     """Write what both solvers of a bed read, and say what runs by hand."""
-    from kncal.bed.rendering import README
-    from kncal.bed.rendering import render_bed as render_models
-    from kncal.bed.workflow import PACKING, warnings_of
+    from kncal.runs.bed_rendering import README
+    from kncal.runs.bed_rendering import render_bed as render_models
+    from kncal.runs.bed_workflow import PACKING, warnings_of
 
     with show.time_bars({}) as progress_for:
         models = render_models(
@@ -71,8 +71,8 @@ def export_beds(folder: Path, kinds: Iterable[str], *, paraview: bool) -> None:
     """Write the frames of the runs in ``folder`` for ParaView, if asked for."""
     if not paraview:
         return
-    from kncal.bed.export import write_paraview
-    from kncal.bed.workflow import load_bed_run
+    from kncal.record.paraview import write_paraview
+    from kncal.runs.bed_workflow import load_bed_run
 
     for kind in kinds:
         write_paraview(load_bed_run(folder / kind).series, folder / kind / "paraview")
@@ -90,9 +90,9 @@ def run_bed(
     oversubscribe: bool,
 ) -> dict[str, RunResult]:
     """Run (or go on with) a bed and raise if a run did not complete."""
-    from kncal.bed.workflow import plan_checked, warnings_of
-    from kncal.bed.workflow import run_bed as run_models
-    from kncal.workflow import require_completed
+    from kncal.runs.bed_workflow import plan_checked, warnings_of
+    from kncal.runs.bed_workflow import run_bed as run_models
+    from kncal.runs.workflow import require_completed
 
     models = plan_checked(scene, kinds)
     for text in warnings_of(models.values()):
@@ -125,7 +125,7 @@ def print_bed_results(scene: BedScene, folder: Path, results: dict[str, RunResul
             }
         )
         return
-    from kncal.bed.workflow import plan_checked, warnings_of
+    from kncal.runs.bed_workflow import plan_checked, warnings_of
 
     rows = [
         [name, *(show.quantity(r.extra.get(key), "s", 3) for r in results.values())]
@@ -141,7 +141,7 @@ def print_bed_results(scene: BedScene, folder: Path, results: dict[str, RunResul
 
 def compare_bed(folder: Path, report: Path, *, json: bool) -> int:
     """Compare the two runs in ``folder``, write the report; exit code 0 within, 1 not."""
-    from kncal.bed.workflow import compare_bed as compare_runs
+    from kncal.runs.bed_workflow import compare_bed as compare_runs
 
     comparison, page = compare_runs(folder, report)
     if json:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 from cyclopts import Parameter
 
 from kncal.cli import show
-from kncal.cli.contact_flags import ContactFlags
+from kncal.cli.flags import ContactFlags
 from kncal.cli.kn_tables import MOST_TABLES, kn_data, kn_print, own_options, print_many, row_of
 from kncal.cli.runs import EngineName, Json, Out, Set, measured
 from kncal.cli.speeds import (
@@ -21,12 +21,12 @@ from kncal.cli.speeds import (
     propagate_pair,
     texts,
 )
-from kncal.errors import InputError
+from kncal.core.errors import InputError
 
 if TYPE_CHECKING:
-    from kncal.bed.scene import BedScene
-    from kncal.material import Pair
-    from kncal.scene import ContactChoice, Scene
+    from kncal.physics.material import Pair
+    from kncal.scene.bed_scene import BedScene
+    from kncal.scene.scene import ContactChoice, Scene
 
 #: A block of more characters is for a file, not for a terminal: a dozen atom types.
 _LONG_BLOCK = 20_000
@@ -101,7 +101,7 @@ def kn(
             raise InputError(
                 f"{given[0]} and the case {case!r}: the case holds these numbers; expected one or the other"
             )
-        from kncal.case_file import load_case
+        from kncal.scene.case_file import load_case
 
         of_case = {"--method": of_options["--method"], "--friction": of_block["--friction"]}
         _refuse_ignored(f"the case {case!r}, whose own is used", of_case)
@@ -138,7 +138,7 @@ def _kn_flags(
     json: bool,
 ) -> None:
     """Print what is to be said of the contact that the flags describe."""
-    from kncal.timestep import usual_steps
+    from kncal.physics.timestep import usual_steps
 
     pair, v_0, e_n = flags.pair(), flags.speed(), flags.restitution()
     steps = usual_steps(flags.law, e_n, flags.end) if n is None else n
@@ -173,11 +173,11 @@ class _CasePair(NamedTuple):
 
 def _pairs(scene: Scene | BedScene) -> Iterator[_CasePair]:
     """Every pair of species of a case; of a bed: two particles, a particle and a wall."""
-    from kncal.bed.scene import BedScene
+    from kncal.scene.bed_scene import BedScene
 
     if isinstance(scene, BedScene):
-        from kncal.bed.planning import PARTICLES, WALLS, bed_pairs
-        from kncal.pair_contact import numbers_of
+        from kncal.scene.bed_planning import PARTICLES, WALLS, bed_pairs
+        from kncal.scene.pair_contact import numbers_of
 
         wall = scene.column.wall_material
         names = {PARTICLES: scene.particles.material.name, WALLS: "rigid" if wall is None else wall.name}
@@ -186,8 +186,8 @@ def _pairs(scene: Scene | BedScene) -> Iterator[_CasePair]:
             numbers = numbers_of(scene.contact, exception)
             yield _CasePair((one, other), both, numbers.e_n, numbers.v_0, numbers.k_n)
         return
-    from kncal.planning import pair_of, species_choices
-    from kncal.species import species_of
+    from kncal.scene.plan import pair_of, species_choices
+    from kncal.scene.species import species_of
 
     species = species_of(scene)
     for which, (e_n, _, v_0, k_n) in species_choices(scene).items():
@@ -199,7 +199,7 @@ def _kn_flags_uncertain(
     flags: ContactFlags, uncertain: Sequence[str], method: str, options: dict[str, Any], *, json: bool
 ) -> None:
     """Print how uncertain k_n of the contact that the flags describe is."""
-    from kncal.uncertainty import propagate
+    from kncal.physics.uncertainty import propagate
 
     material, radius, pair_of = flags.bodies()
     found = propagate(
@@ -229,7 +229,7 @@ def _kn_case(
     *,
     json: bool,
 ) -> None:
-    from kncal.deck_block import case_block
+    from kncal.engines.liggghts.deck_block import case_block
 
     contact = scene.contact
     merged = options | dict(contact.method_options)
@@ -275,9 +275,9 @@ def _say_block(what: str, block: str) -> None:
 
 def _prescribed(contact: ContactChoice, p: _CasePair, steps: float) -> dict[str, Any]:
     """Return the row of a prescribed k_n: its damping, duration and time step; overlaps where a speed is known."""
-    from kncal.errors import ValidityError
-    from kncal.pair_contact import PairNumbers, Rest, calibration_for, pair_contact
-    from kncal.timestep import verlet_limit
+    from kncal.core.errors import ValidityError
+    from kncal.physics.timestep import verlet_limit
+    from kncal.scene.pair_contact import PairNumbers, Rest, calibration_for, pair_contact
 
     numbers = PairNumbers(p.e_n, 0.0, p.v_0, p.k_n)
     try:
@@ -329,8 +329,8 @@ def collide(
 
     Example: kncal collide --young 70e9 --density 2500 --radius 1e-3 --v0 0.5 --en 0.7 --against wall
     """
-    from kncal.calibration import calibrate
-    from kncal.collision import plot_collision
+    from kncal.physics.calibration import calibrate
+    from kncal.report.collision import plot_collision
 
     flags = contact or ContactFlags()
     pair = flags.pair()

@@ -10,14 +10,14 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from kncal.cli import show
-from kncal.errors import InputError
+from kncal.core.errors import InputError
 
 Json = Annotated[bool, Parameter(name="--json", negative="", help="print data for machines")]
 
 
 def cases(*, json: Json = False) -> None:
     """List the shipped cases."""
-    from kncal.case_file import load_case, shipped_cases
+    from kncal.scene.case_file import load_case, shipped_cases
 
     scenes = [load_case(name) for name in shipped_cases()]
     if json:
@@ -43,9 +43,9 @@ def new(case: str, folder: Path) -> None:
     folder
         A folder that does not exist yet.
     """
-    from kncal.case_file import shipped_cases
-    from kncal.checks import one_of, plain_name
-    from kncal.resources import folder as resource
+    from kncal.core.checks import one_of, plain_name
+    from kncal.core.shipped import folder as resource
+    from kncal.scene.case_file import shipped_cases
 
     one_of("case", case, shipped_cases())
     if folder.exists():
@@ -64,7 +64,7 @@ def new(case: str, folder: Path) -> None:
 
 def _changed_from(case: str, text: str) -> str:
     """Return the text of a shipped case with a source that will be true of what a user makes of it."""
-    from kncal.case_text import parse_toml, toml_value
+    from kncal.scene.case_text import parse_toml, toml_value
 
     source = f"changed from {case}: {parse_toml(text, case)['source']}"
     return re.sub(r"(?m)^source = .*$", lambda _: f"source = {toml_value(source[:300])}", text, count=1)
@@ -78,10 +78,10 @@ def needs(case: str, *, json: Json = False) -> None:
     case
         A shipped case's name, a case folder or a case.toml.
     """
-    from kncal.bed.needs import decide as decide_bed
-    from kncal.bed.scene import BedScene
-    from kncal.case_file import load_case
-    from kncal.needs import decide
+    from kncal.scene.bed_needs import decide as decide_bed
+    from kncal.scene.bed_scene import BedScene
+    from kncal.scene.case_file import load_case
+    from kncal.scene.needs import decide
 
     scene = load_case(case)
     frame = (decide_bed(scene) if isinstance(scene, BedScene) else decide(scene)).to_frame()
@@ -100,7 +100,7 @@ def needs(case: str, *, json: Json = False) -> None:
 
 def doctor(*, json: Json = False) -> int:
     """Look at this machine: solvers, versions, off-screen pictures, disk; exit code 4 if LIGGGHTS is missing."""
-    from kncal.doctor import examine
+    from kncal.cli.machine import examine
 
     findings = examine()
     if json:
@@ -118,8 +118,8 @@ def doctor(*, json: Json = False) -> int:
 
 def laws(*, json: Json = False) -> None:
     """List the contact laws and the methods for k_n, with sources and limits."""
-    from kncal.contact.registry import LAWS
-    from kncal.methods import METHODS
+    from kncal.physics.laws.registry import LAWS
+    from kncal.physics.methods import METHODS
 
     if json:
         show.as_json(

@@ -14,8 +14,8 @@ from cyclopts import CycloptsError
 
 from kncal import __version__
 from kncal.cli import show
-from kncal.disk import FULL
-from kncal.errors import InterruptedRunError, KncalError, RunError, SolverMissingError, failure_of
+from kncal.core.disk import FULL
+from kncal.core.errors import InterruptedRunError, KncalError, RunError, SolverMissingError, failure_of
 
 OK, OUTSIDE, USAGE, FAILED, MISSING, UNEXPECTED, INTERRUPTED = 0, 1, 2, 3, 4, 5, 130
 #: Error -> exit code, the special before the general.

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 from kncal.cli import show
 
 if TYPE_CHECKING:
-    from kncal.calibration import Calibration
-    from kncal.material import Pair
+    from kncal.physics.calibration import Calibration
+    from kncal.physics.material import Pair
 
 #: More pairs of species than this are printed in one table, with at most so many rows; of texts only a few.
 MOST_TABLES, _MOST_ROWS, _MOST_TEXTS = 12, 40, 3
@@ -64,7 +64,7 @@ def print_many(case: str, method: str, result: Mapping[str, dict[str, Any]]) -> 
 
 def row_of(c: Calibration, steps: float) -> dict[str, Any]:
     """Return what `kn` tells of one calibration: its numbers, and the time steps at ``steps`` per contact."""
-    from kncal.timestep import advise_time_step
+    from kncal.physics.timestep import advise_time_step
 
     advice = advise_time_step(c, steps)
     return {
@@ -87,9 +87,9 @@ def kn_data(
     only: str | None = None,
 ) -> dict[str, Any]:
     """Calibrate one pair by every method, or by ``only`` one."""
-    from kncal.calibration import calibrate
-    from kncal.errors import ValidityError
-    from kncal.methods import METHODS
+    from kncal.core.errors import ValidityError
+    from kncal.physics.calibration import calibrate
+    from kncal.physics.methods import METHODS
 
     rows: list[dict[str, Any]] = []
     reference: dict[str, Any] = {}
@@ -124,7 +124,7 @@ def kn_data(
 
 def _step_errors(law: str, e_n: float, end: str, steps: float) -> dict[str, dict[str, float | None]]:
     """Return by contact law the largest predicted error of e_n at N steps, and the N that is advised."""
-    from kncal.timestep import advised_steps, restitution_error
+    from kncal.physics.timestep import advised_steps, restitution_error
 
     found: dict[str, dict[str, float | None]] = {}
     for each in dict.fromkeys(("linear", law)):
@@ -184,7 +184,7 @@ def kn_print(name: str, data: dict[str, Any]) -> None:
 
 def own_options(method: str, options: dict[str, Any]) -> dict[str, Any]:
     """Return those of the options that a method takes."""
-    from kncal.methods import get_method
+    from kncal.physics.methods import get_method
 
     row = get_method(method)
     return {k: v for k, v in options.items() if k in (*row.required, *(row.optional or {}))}

@@ -11,14 +11,14 @@ from cyclopts import Parameter
 
 from kncal.cli import show
 from kncal.cli.beds import Transport, compare_bed, export_beds, print_bed_results, render_bed, run_bed
-from kncal.errors import InputError
+from kncal.core.errors import InputError
 
 if TYPE_CHECKING:
-    from kncal.bed.scene import BedScene
-    from kncal.compare import Comparison, RunData
     from kncal.engines.base import Engine
-    from kncal.model import Model
-    from kncal.scene import Scene
+    from kncal.observe.compare import Comparison, RunData
+    from kncal.scene.bed_scene import BedScene
+    from kncal.scene.model import Model
+    from kncal.scene.scene import Scene
 
 _S = TypeVar("_S", bound="Scene | BedScene")
 
@@ -80,8 +80,8 @@ def render(
     case
         A shipped case's name, a case folder or a case.toml.
     """
-    from kncal.bed.scene import BedScene
-    from kncal.workflow import get_engine, render_case
+    from kncal.runs.workflow import get_engine, render_case
+    from kncal.scene.bed_scene import BedScene
 
     scene, folder = _load(case, out, overrides, trust_templates)
     if isinstance(scene, BedScene):
@@ -122,10 +122,10 @@ def run(
     case
         A shipped case's name, a case folder or a case.toml.
     """
-    from kncal.bed.scene import BedScene
-    from kncal.metrics import metric_unit
-    from kncal.scene_limits import no_contact
-    from kncal.workflow import get_engine, load_run
+    from kncal.runs.workflow import get_engine, load_run
+    from kncal.scene.bed_scene import BedScene
+    from kncal.scene.limits import no_contact
+    from kncal.scene.metrics import metric_unit
 
     scene, folder = _load(case, out, overrides, trust_templates)
     kinds = _kinds(model)
@@ -196,9 +196,9 @@ def compare(
     second
         The folder of the Hertz run, to compare two runs that exist already.
     """
-    from kncal.bed.scene import BedScene
-    from kncal.compare import compare as compare_runs
-    from kncal.workflow import complete, get_engine, load_both, load_pair
+    from kncal.observe.compare import compare as compare_runs
+    from kncal.runs.workflow import complete, get_engine, load_both, load_pair
+    from kncal.scene.bed_scene import BedScene
 
     if second is not None:
         if overrides:
@@ -259,9 +259,9 @@ def report(folder: Path, *, out: Annotated[Path | None, Parameter(name="--out")]
     out
         Folder of the report; default FOLDER/report.
     """
-    from kncal.compare import compare as compare_runs
-    from kncal.states import command_of
-    from kncal.workflow import complete, load_both
+    from kncal.observe.compare import compare as compare_runs
+    from kncal.runs.states import command_of
+    from kncal.runs.workflow import complete, load_both
 
     if command := command_of(folder):
         raise InputError(
@@ -281,8 +281,8 @@ def _load(
     case: str, out: Path | None, overrides: list[str] | None, templates: Path | None
 ) -> tuple[Scene | BedScene, Path]:
     """Return what ``case`` describes, with the values of --set, and its run folder; trust ``templates`` from now on."""
-    from kncal.case_file import load_case
-    from kncal.foreign_templates import trust_from_now
+    from kncal.core.foreign_templates import trust_from_now
+    from kncal.scene.case_file import load_case
 
     for name, digest in trust_from_now(templates).items():
         print(show.printable(f"not kncal's template: {name}, sha256 {digest}"), file=sys.stderr)
@@ -301,7 +301,7 @@ def measured(
     """Return the scene with the impact speed that it asks to be measured, which may take some runs in ``folder``."""
     if scene.contact.measured is None:
         return scene
-    from kncal.measured import resolve_measured
+    from kncal.runs.measure_speed import resolve_measured
 
     with show.working("measuring"):
         return resolve_measured(scene, folder, engine=engine, transport=transport, timeout=timeout, tell=show.note)
@@ -309,7 +309,7 @@ def measured(
 
 def _refuse_ignored(scene: Scene | BedScene, **given: bool) -> None:
     """Refuse a flag that the kind of case at hand would pass over in silence."""
-    from kncal.bed.scene import BedScene
+    from kncal.scene.bed_scene import BedScene
 
     is_bed = isinstance(scene, BedScene)
     for name in ("engine", "repeat") if is_bed else ("transport",):
@@ -319,8 +319,8 @@ def _refuse_ignored(scene: Scene | BedScene, **given: bool) -> None:
 
 
 def _is_bed(folder: Path) -> bool:
-    from kncal.bed.scene import BedScene
-    from kncal.folder import read_model_folder
+    from kncal.runs.folder import read_model_folder
+    from kncal.scene.bed_scene import BedScene
 
     model = folder / "linear"
     return (model / "manifest.json").is_file() and isinstance(read_model_folder(model)[0], BedScene)
@@ -340,9 +340,9 @@ def _run(
     *,
     anew: bool,
 ) -> None:
-    from kncal.planning import plan
-    from kncal.scene_limits import warnings_of
-    from kncal.workflow import require_completed, run_case
+    from kncal.runs.workflow import require_completed, run_case
+    from kncal.scene.limits import warnings_of
+    from kncal.scene.plan import plan
 
     for text in warnings_of(plan(scene, kinds), usual=False):
         show.note(f"warning: {text}")
@@ -362,7 +362,7 @@ def _run(
 
 
 def _export(runs: Iterable[RunData], paraview: bool) -> None:
-    from kncal.export import export_paraview, export_tables
+    from kncal.report.tables import export_paraview, export_tables
 
     for data in runs:
         export_tables(data)
@@ -371,13 +371,13 @@ def _export(runs: Iterable[RunData], paraview: bool) -> None:
 
 
 def _report(comparison: Comparison, folder: Path) -> Path:
-    from kncal.workflow import report_on
+    from kncal.runs.workflow import report_on
 
     return report_on(comparison, folder)
 
 
 def _print_warnings(models: Mapping[str, Model]) -> None:
-    from kncal.scene_limits import warnings_of
+    from kncal.scene.limits import warnings_of
 
     for text in warnings_of(models):
         show.say(f"  warning: {text}")

@@ -17,7 +17,7 @@ from pathlib import Path
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Any
 
-from kncal.stopping import start_deaf
+from kncal.core.stopping import start_deaf
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -47,14 +47,14 @@ def printable(text: str) -> str:
 
 def quantity(value: float | None, unit: str = "", digits: int = 4) -> str:
     """Return a number with its unit and a fitting prefix."""
-    from kncal.units import quantity as with_unit
+    from kncal.core.units import quantity as with_unit
 
     return with_unit(value, unit, digits)
 
 
 def percent(share: float | None) -> str:
     """Return a share with its sign in percent."""
-    from kncal.units import percent as in_percent
+    from kncal.core.units import percent as in_percent
 
     return in_percent(share)
 

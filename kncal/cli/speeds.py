@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from kncal.cli import show
-from kncal.errors import InputError, ReadError
+from kncal.core.errors import InputError, ReadError
 
 if TYPE_CHECKING:
-    from kncal.impact_speeds import Estimate, ImpactSpeeds
-    from kncal.material import Material, Pair
-    from kncal.run_speeds import RunSpeeds
-    from kncal.uncertainty import Distribution, Propagation
+    from kncal.observe.impact_speeds import Estimate, ImpactSpeeds
+    from kncal.physics.material import Material, Pair
+    from kncal.physics.uncertainty import Distribution, Propagation
+    from kncal.runs.impact_speeds import RunSpeeds
 
 FromRun = Annotated[
     Path | None,
@@ -42,10 +42,10 @@ _WHO = {"particles": "two particles", "walls": "a particle and a wall", "all": "
 
 def kn_from_run(folder: Path, uncertain: Sequence[str], picture: Path | None, *, json: bool) -> None:
     """Print the impact speeds of a run and k_n at them."""
-    from kncal.impact_speeds import plot_impact_speeds
-    from kncal.model import KINDS
-    from kncal.records import MANIFEST
-    from kncal.run_speeds import run_speeds
+    from kncal.observe.impact_speeds import plot_impact_speeds
+    from kncal.runs.impact_speeds import run_speeds
+    from kncal.runs.records import MANIFEST
+    from kncal.scene.model import KINDS
 
     if not folder.is_dir():
         raise ReadError(f"{folder}: no such folder; expected a run folder, e.g. runs/wall_impact")
@@ -71,7 +71,7 @@ def kn_from_run(folder: Path, uncertain: Sequence[str], picture: Path | None, *,
 
 
 def _print_run(run: RunSpeeds) -> None:
-    from kncal.impact_speeds import KINDS_OF_IMPACTS, STATISTICS
+    from kncal.observe.impact_speeds import KINDS_OF_IMPACTS, STATISTICS
 
     contact = run.scene.contact
     for kind, found in run.speeds.items():
@@ -130,7 +130,7 @@ def propagate_pair(
     v_0: float | None = None,
 ) -> Propagation:
     """Propagate the uncertainty of the first body of a pair of a case; a second of the same material varies with it."""
-    from kncal.uncertainty import MeasuredSpeeds, propagate
+    from kncal.physics.uncertainty import MeasuredSpeeds, propagate
 
     material, radius, pair_of = _bodies(scene, names)
     given: dict[str, str | Distribution] = {} if measured is None else {"v_0": MeasuredSpeeds(measured)}
@@ -164,9 +164,9 @@ def texts(uncertain: Sequence[str]) -> dict[str, str]:
 
 
 def _bodies(scene: Any, names: tuple[str, str]) -> tuple[Material, float, Callable[[Material, Any], Pair]]:
-    from kncal.bed.scene import BedScene
-    from kncal.material import pair
-    from kncal.scene import Wall
+    from kncal.physics.material import pair
+    from kncal.scene.bed_scene import BedScene
+    from kncal.scene.scene import Wall
 
     if isinstance(scene, BedScene):
         material, radius = scene.particles.material, 0.5 * scene.particles.diameter
@@ -185,7 +185,7 @@ def _bodies(scene: Any, names: tuple[str, str]) -> tuple[Material, float, Callab
 
 
 def _on_wall(material: Material, wall: Material | None) -> Callable[[Material, Any], Pair]:
-    from kncal.material import wall_pair
+    from kncal.physics.material import wall_pair
 
     return lambda sampled, radius: wall_pair(sampled, radius, sampled if wall == material else wall)
 

@@ -37,10 +37,10 @@ def stability(
     case
         A shipped case's name, a case folder or a case.toml.
     """
-    from kncal.case_file import load_case
-    from kncal.stability.report import accuracy_table, bed_table, edge_table, write_stability
-    from kncal.stability.workflow import RECORD, SPEED, STARTED, study_stability
+    from kncal.scene.case_file import load_case
     from kncal.study.folders import refuse_other
+    from kncal.study.stability.report import accuracy_table, bed_table, edge_table, write_stability
+    from kncal.study.stability.workflow import RECORD, SPEED, STARTED, study_stability
 
     scene = load_case(case, overrides=overrides or ())
     folder = out if out is not None else Path("runs") / f"{scene.name}_stability"

@@ -14,13 +14,13 @@ from cyclopts import Parameter
 from kncal.cli import show
 from kncal.cli.beds import Transport
 from kncal.cli.runs import EngineName, Json, ModelChoice, Oversubscribe, Ranks, Timeout
-from kncal.errors import InputError
+from kncal.core.errors import InputError
 
 if TYPE_CHECKING:
-    from kncal.finding import Finding
-    from kncal.sweep import Executor, Settings, Sweep, SweepProgress, SweepResult
-    from kncal.sweep.points import Point
-    from kncal.sweep.slurm_script import SlurmOptions
+    from kncal.scene.finding import Finding
+    from kncal.study import Executor, Settings, Sweep, SweepProgress, SweepResult
+    from kncal.study.points import Point
+    from kncal.study.slurm_script import SlurmOptions
 
 #: Failed runs that are named per class, and characters of their messages.
 _SHOWN, _LONGEST = 3, 400
@@ -87,10 +87,10 @@ def sweep(
     case
         A shipped case's name, a case folder or a case.toml.
     """
-    from kncal.case_file import load_case
-    from kncal.sweep import Settings, combine, design, read_sweep, run_sweep
-    from kncal.sweep.slurm_script import SlurmOptions
-    from kncal.sweep.table import check_parquet, write_parquet
+    from kncal.scene.case_file import load_case
+    from kncal.study import Settings, combine, design, read_sweep, run_sweep
+    from kncal.study.slurm_script import SlurmOptions
+    from kncal.study.table import check_parquet, write_parquet
 
     if parquet:
         check_parquet()
@@ -150,7 +150,7 @@ def sweep_run(folder: Path, run: str, *, json: Json = False) -> int:
     run
         Id of the run, as in sweep.csv.
     """
-    from kncal.sweep import execute_run, read_design
+    from kncal.study import execute_run, read_design
 
     if run not in read_design(folder).runs:
         raise InputError(f"{folder}: no run {run[:100]!r}; the ids are in sweep.json and sweep.csv")
@@ -172,8 +172,8 @@ def sweep_table(folder: Path, *, parquet: Parquet = False, json: Json = False) -
     folder
         Of the sweep.
     """
-    from kncal.sweep import read_sweep
-    from kncal.sweep.table import check_parquet, write_parquet, write_table
+    from kncal.study import read_sweep
+    from kncal.study.table import check_parquet, write_parquet, write_table
 
     if parquet:
         check_parquet()
@@ -197,17 +197,17 @@ def sweep_table(folder: Path, *, parquet: Parquet = False, json: Json = False) -
 
 def _executor(name: str, workers: int | None, scheduler: str | None, options: SlurmOptions) -> Executor:
     if name == "local":
-        from kncal.sweep import ThreadExecutor
+        from kncal.study import ThreadExecutor
 
         return ThreadExecutor(workers)
-    from kncal.sweep.dask_runs import dask_executor
+    from kncal.study.dask_runs import dask_executor
 
     return dask_executor(name, workers, scheduler=scheduler, options=options)
 
 
 def _workers(workers: int | None, settings: Settings, *, elsewhere: bool) -> int:
     """Return how many runs of several ranks go on at a time."""
-    from kncal.mpi import check_fit
+    from kncal.core.mpi import check_fit
 
     if elsewhere:
         raise InputError("--ranks: a run on another machine or in a Slurm job has one core; expected --executor local")
@@ -244,8 +244,8 @@ def _export(
     made: Sweep, text: str, folder: Path, file: Path, options: SlurmOptions, workers: int | None, json: bool
 ) -> int:
     """Write the job-array script of the runs that are left."""
-    from kncal.sweep.slurm_script import array_script, write_script
-    from kncal.sweep.workflow import prepare_sweep
+    from kncal.study.slurm_script import array_script, write_script
+    from kncal.study.sweep import prepare_sweep
 
     left = prepare_sweep(made, text, folder)
     if left:
@@ -269,9 +269,9 @@ def _groups(
     log: list[str] | None,
     seed: int | None,
 ) -> list[list[Point]]:
-    from kncal.overrides import parse_override
-    from kncal.sweep import grid_axis, parse_range, read_points
-    from kncal.sweep import sample as hypercube
+    from kncal.scene.overrides import parse_override
+    from kncal.study import grid_axis, parse_range, read_points
+    from kncal.study import sample as hypercube
 
     groups = [grid_axis(text) for text in overrides or ()]
     if points is not None:
@@ -291,8 +291,8 @@ def _groups(
 
 def _check_flags(case: str, engine: str, transport: str) -> None:
     """Refuse a flag that the kind of case at hand would pass over in silence."""
-    from kncal.bed.scene import BedScene
-    from kncal.case_file import load_case
+    from kncal.scene.bed_scene import BedScene
+    from kncal.scene.case_file import load_case
 
     bed = isinstance(load_case(case), BedScene)
     if bed and engine != "liggghts":

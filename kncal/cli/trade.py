@@ -14,10 +14,10 @@ from cyclopts import Parameter
 from kncal.cli import show
 from kncal.cli.beds import Transport
 from kncal.cli.runs import EngineName, Json, Set
-from kncal.errors import InputError
+from kncal.core.errors import InputError
 
 if TYPE_CHECKING:
-    from kncal.trade.workflow import TradeResult
+    from kncal.study.trade.workflow import TradeResult
 
 _SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
 
@@ -71,11 +71,11 @@ def trade(
     case
         A shipped case's name, a case folder or a case.toml.
     """
-    from kncal.bed.scene import BedScene
-    from kncal.case_file import load_case
-    from kncal.trade.base import FACTORS, STEPS, TradeOptions
-    from kncal.trade.tolerances import parse_tolerances
-    from kncal.trade.workflow import run_trade
+    from kncal.observe.tolerances import parse_tolerances
+    from kncal.scene.bed_scene import BedScene
+    from kncal.scene.case_file import load_case
+    from kncal.study.trade.base import FACTORS, STEPS, TradeOptions
+    from kncal.study.trade.workflow import run_trade
 
     scene = load_case(case, overrides=overrides or ())
     bed = isinstance(scene, BedScene)
@@ -138,7 +138,7 @@ def _factors(given: Iterable[str]) -> tuple[float, ...]:
 
 
 def _print(result: TradeResult) -> None:
-    from kncal.trade.report import NEAR, point_table, shown_points
+    from kncal.study.trade.report import NEAR, point_table, shown_points
 
     shown, conclusion = result.trade, result.conclusion
     near = shown_points(shown, conclusion)

@@ -13,11 +13,11 @@ from cyclopts import Parameter
 from kncal.cli import show
 from kncal.cli.beds import Transport
 from kncal.cli.runs import EngineName, Json, Set, Timeout
-from kncal.errors import InputError
+from kncal.core.errors import InputError
 
 if TYPE_CHECKING:
     from kncal.study.runs import OnStudyProgress
-    from kncal.trim.base import Trim
+    from kncal.study.trim.base import Trim
 
 
 def trim(
@@ -57,12 +57,12 @@ def trim(
     case
         A shipped case's name, a case folder or a case.toml.
     """
-    from kncal.bed.scene import BedScene
-    from kncal.case_file import load_case
-    from kncal.trade.tolerances import parse_tolerances
-    from kncal.trim.report import write_trim
-    from kncal.trim.workflow import TrimOptions
-    from kncal.trim.workflow import trim as run_trim
+    from kncal.observe.tolerances import parse_tolerances
+    from kncal.scene.bed_scene import BedScene
+    from kncal.scene.case_file import load_case
+    from kncal.study.trim.report import write_trim
+    from kncal.study.trim.workflow import TrimOptions
+    from kncal.study.trim.workflow import trim as run_trim
 
     scene = load_case(case, overrides=overrides or ())
     ignored = "engine" if engine != "liggghts" else ""
@@ -100,7 +100,7 @@ def _told() -> Iterator[OnStudyProgress]:
     """Show on stderr how far the runs are."""
     from rich.progress import BarColumn, TextColumn
 
-    from kncal.sweep import SweepProgress
+    from kncal.study import SweepProgress
 
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.0f}/{task.total:.0f} runs"))
     with show.bars(*columns) as bars:
@@ -114,8 +114,8 @@ def _told() -> Iterator[OnStudyProgress]:
 
 
 def _print(found: Trim) -> None:
-    from kncal.trim.base import DOES_NOT_APPLY
-    from kncal.trim.report import part_row
+    from kncal.study.trim.base import DOES_NOT_APPLY
+    from kncal.study.trim.report import part_row
 
     columns = ["part", "tried", "verdict", "CPU", "steps", "disk", "largest effect", "of"]
     rows = [part_row(r) for r in found.results if r.verdict != DOES_NOT_APPLY]

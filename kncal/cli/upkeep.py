@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from kncal.cli import show
-from kncal.errors import InputError
+from kncal.core.errors import InputError
 
 if TYPE_CHECKING:
-    from kncal.states import RunState
+    from kncal.runs.states import RunState
 
 #: What to do about a failure that has no name, or one that this kncal does not know.
 _ELSE = "its log may say more; the same command again"
@@ -34,8 +34,8 @@ def status(
     """
     from dataclasses import asdict
 
-    from kncal.states import case_states, command_of, find_run_folders
-    from kncal.sweep.design import DESIGN
+    from kncal.runs.states import case_states, command_of, find_run_folders
+    from kncal.study.design import DESIGN
 
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; expected one that holds runs")
@@ -69,8 +69,8 @@ def clean(
     folder
         A run folder, or one that holds run folders.
     """
-    from kncal.cleaning import clean as remove
-    from kncal.cleaning import plan_cleaning
+    from kncal.runs.cleaning import clean as remove
+    from kncal.runs.cleaning import plan_cleaning
 
     removals, left = plan_cleaning(folder)
     for text in left:
@@ -93,8 +93,8 @@ def clean(
 def _sweep(folder: Path, *, json: bool) -> None:
     from dataclasses import asdict
 
-    from kncal.states import ADVICE
-    from kncal.sweep.states import sweep_status
+    from kncal.runs.states import ADVICE
+    from kncal.study.states import sweep_status
 
     found = sweep_status(folder)
     if json:
@@ -139,7 +139,7 @@ def _megabytes(size: int) -> str:
 def _print(folder: Path, states: list[RunState]) -> None:
     from collections import Counter
 
-    from kncal.states import ADVICE
+    from kncal.runs.states import ADVICE
 
     counts = Counter(state.status for state in states)
     show.say(f"{folder}: " + ", ".join(f"{number} {name.replace('_', ' ')}" for name, number in counts.items()))

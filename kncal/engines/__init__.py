@@ -1,1 +1,1 @@
-"""Engines: each renders a model, runs it and reads it back."""
+"""From a plan to solver input, and from there to a record."""

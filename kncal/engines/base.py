@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
-from kncal.errors import ReadError
-from kncal.io.liggghts_dump import read_trajectory
-from kncal.model import Model
-from kncal.trajectory import Trajectory
+from kncal.core.errors import ReadError
+from kncal.record.frames import Trajectory
+from kncal.record.liggghts_dump import read_trajectory
+from kncal.scene.model import Model
 
 #: The recorded frames of a run, in its folder.
 FRAMES = "particles.dump"

@@ -10,18 +10,18 @@ from pathlib import Path
 from typing import Any
 
 from kncal import __version__
-from kncal.bed.model import BedModel
-from kncal.bed.scene import BedScene
-from kncal.checks import Array, one_of
-from kncal.coupling.base import Dem, GasTransport
-from kncal.coupling.checkpoint import GAS, PARTICLES, last_checkpoint
-from kncal.coupling.decomposed import divisions as check_divisions
-from kncal.coupling.loop import CoupledCost, CoupledRun, Progress, gas_setup
-from kncal.disk import blame
+from kncal.core.checks import Array, one_of
+from kncal.core.disk import blame
+from kncal.core.errors import InputError, KncalError, ReadError, RunError, SolverMissingError, failure_of
+from kncal.core.mpi import MISSING as NO_MPIRUN
+from kncal.core.mpi import MPIRUN, check_ranks
 from kncal.engines.base import Profile, RunResult
-from kncal.errors import InputError, KncalError, ReadError, RunError, SolverMissingError, failure_of
-from kncal.mpi import MISSING as NO_MPIRUN
-from kncal.mpi import MPIRUN, check_ranks
+from kncal.engines.checkpoint import GAS, PARTICLES, last_checkpoint
+from kncal.engines.coupling import Dem, GasTransport
+from kncal.engines.dpmfoam.decomposed import divisions as check_divisions
+from kncal.engines.loop import CoupledCost, CoupledRun, Progress, gas_setup
+from kncal.scene.bed_model import BedModel
+from kncal.scene.bed_scene import BedScene
 
 TRANSPORTS = ("auto", "live", "restart")
 
@@ -39,7 +39,7 @@ def choose_transport(wanted: str) -> tuple[str, Path | None]:
     one_of("transport", wanted, TRANSPORTS)
     if wanted == "restart":
         return wanted, None
-    from kncal.coupling.adapter_build import AdapterError, find
+    from kncal.engines.dpmfoam.adapter_build import AdapterError, find
 
     library = find()
     if library is None and wanted == "live":
@@ -84,7 +84,7 @@ class Coupled:
     Raises
     ------
     InputError
-        For several ranks with the transport live, or a number of them that `kncal.mpi.check_ranks` refuses.
+        For several ranks with the transport live, or a number of them that `kncal.core.mpi.check_ranks` refuses.
     """
 
     name = "coupled"
@@ -97,7 +97,7 @@ class Coupled:
 
     def profile(self) -> Profile:
         """Look for both solvers on this machine."""
-        from kncal.doctor import solver_findings
+        from kncal.cli.machine import solver_findings
 
         liggghts, openfoam = solver_findings()
         missing = [f"{f.name} (found: {f.found}; {f.hint})" for f in (liggghts, openfoam) if not f.ok]
@@ -173,8 +173,8 @@ class Coupled:
         resume: bool,
         pass_fds: Sequence[int],
     ) -> CoupledCost:
-        from kncal.coupling.dem import LiggghtsDem
-        from kncal.coupling.dem_child import histogram_edges
+        from kncal.engines.liggghts.library import LiggghtsDem
+        from kncal.engines.liggghts.library_child import histogram_edges
 
         frozen = model.scene.particles.frozen or model.scene.particles.count == 0
         checkpoint = last_checkpoint(folder, model.couplings) if resume else None
@@ -212,11 +212,11 @@ class Coupled:
         if setup is None:
             return None
         if self.transport == "live" and self._library is not None:
-            from kncal.coupling.live import LiveGas
+            from kncal.engines.dpmfoam.live import LiveGas
 
             count = model.scene.particles.count
             return LiveGas(setup, folder / GAS, self._library, count, pass_fds=pass_fds)
-        from kncal.coupling.restart import RestartGas
+        from kncal.engines.dpmfoam.restart import RestartGas
 
         return RestartGas(setup, folder / GAS, ranks=self.ranks, oversubscribe=self._oversubscribe, pass_fds=pass_fds)
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection
 from pathlib import Path
 
-from kncal.errors import InputError, ReadError
-from kncal.io.tables import read_json
-from kncal.lock import LOCK
+from kncal.core.errors import InputError, ReadError
+from kncal.core.lock import LOCK
+from kncal.core.tables import read_json
 
 
 def refuse_other(out: Path, record: str, started: Collection[str], case: str | Path) -> None:

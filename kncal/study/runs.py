@@ -1,6 +1,6 @@
 """Running variants: each round of each model is a sweep, so runs go side by side, are kept, and are not run twice.
 
-FOLDER/round-1/linear/   a sweep (see `kncal.sweep.design`), FOLDER/round-1/hertz/, FOLDER/round-2/linear/ ...
+FOLDER/round-1/linear/   a sweep (see `kncal.study.design`), FOLDER/round-1/hertz/, FOLDER/round-2/linear/ ...
 
 Rounds repeat the same runs for the sake of their CPU times: A B C, A B C, so that a slow minute of the machine hits all
 of them alike.
@@ -13,16 +13,16 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from kncal.checks import in_range
-from kncal.errors import InputError
-from kncal.folder import read_result
-from kncal.model import KINDS
-from kncal.records import RESULT
+from kncal.core.checks import in_range
+from kncal.core.errors import InputError
+from kncal.runs.folder import read_result
+from kncal.runs.records import RESULT
+from kncal.scene.model import KINDS
+from kncal.study.design import Settings, design_points, run_folder
+from kncal.study.execute import ThreadExecutor
+from kncal.study.rows import failure_class
+from kncal.study.sweep import SweepProgress, run_sweep
 from kncal.study.variants import Variant
-from kncal.sweep.design import Settings, design_points, run_folder
-from kncal.sweep.execute import ThreadExecutor
-from kncal.sweep.rows import failure_class
-from kncal.sweep.workflow import SweepProgress, run_sweep
 
 #: Status of a variant that was refused before any run.
 REFUSED = "refused"
@@ -40,8 +40,8 @@ class VariantRun:
     variant : Variant
     status : of `kncal.engines.base.RunResult` ("completed", "failed", "timed_out" ...), or `REFUSED`
     failure, message : why it did not complete; both empty if it did
-    folder : its model's run folder in the first round, for `kncal.workflow.load_run` or
-        `kncal.bed.workflow.load_bed_run`; None if refused
+    folder : its model's run folder in the first round, for `kncal.runs.workflow.load_run` or
+        `kncal.runs.bed_workflow.load_bed_run`; None if refused
     cpu_seconds : CPU time of each round that completed [s]
     wall_seconds : likewise [s]
     steps, dt : of the first round, None if there is no result [-], [s]
@@ -94,7 +94,7 @@ def run_variants(
     InputError
         If two variants have one name, or ``rounds`` is out of range.
     CaseFileError, SolverMissingError, InterruptedRunError
-        As `kncal.sweep.workflow.run_sweep`.
+        As `kncal.study.sweep.run_sweep`.
     """
     variants = list(variants)
     names = [variant.name for variant in variants]

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from kncal.case_text import parse_toml, read_case
-from kncal.checks import one_of
-from kncal.errors import InputError
-from kncal.model import KINDS
-from kncal.overrides import parse_override
-from kncal.sweep.points import Point
+from kncal.core.checks import one_of
+from kncal.core.errors import InputError
+from kncal.scene.case_text import parse_toml, read_case
+from kncal.scene.model import KINDS
+from kncal.scene.overrides import parse_override
+from kncal.study.points import Point
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 
@@ -25,7 +25,7 @@ class Variant:
     ----------
     name : unique in a study; letters, digits, ``.``, ``_`` and ``-``
     model : "linear" or "hertz"
-    overrides : ``KEY=VALUE`` (see `kncal.overrides`)
+    overrides : ``KEY=VALUE`` (see `kncal.scene.overrides`)
 
     Raises
     ------

@@ -16,8 +16,8 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import kncal
-from kncal.contact.registry import LAWS
-from kncal.methods import METHODS
+from kncal.physics.laws.registry import LAWS
+from kncal.physics.methods import METHODS
 
 OPTIONS = {
     "limited_overlap": {"fraction": 0.01},

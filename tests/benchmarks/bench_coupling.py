@@ -40,13 +40,13 @@ from coupling_parts import (
     shipped,
 )
 
-from kncal.bed.model import BedModel
-from kncal.bed.packing import lattice
-from kncal.bed.planning import plan_bed
-from kncal.coupling.base import GasTransport
-from kncal.coupling.live import LiveGas
-from kncal.coupling.loop import Progress, gas_setup
 from kncal.engines.coupled import GAS, Coupled
+from kncal.engines.coupling import GasTransport
+from kncal.engines.dpmfoam.live import LiveGas
+from kncal.engines.loop import Progress, gas_setup
+from kncal.scene.bed_model import BedModel
+from kncal.scene.bed_planning import plan_bed
+from kncal.scene.packing import lattice
 
 ROUNDS = 3
 

@@ -14,14 +14,14 @@ import sys
 import tempfile
 from pathlib import Path
 
-from kncal.case_file import load_case
-from kncal.engines.liggghts import Liggghts
-from kncal.material import Material
-from kncal.model import Model
-from kncal.planning import plan
-from kncal.resources import folder as shipped_folder
-from kncal.runner import run_process, solver_environment
-from kncal.scene import ContactChoice, Particle, RunControl, Scene, Wall
+from kncal.core.process import run_process, solver_environment
+from kncal.core.shipped import folder as shipped_folder
+from kncal.engines.liggghts.batch import Liggghts
+from kncal.physics.material import Material
+from kncal.scene.case_file import load_case
+from kncal.scene.model import Model
+from kncal.scene.plan import plan
+from kncal.scene.scene import ContactChoice, Particle, RunControl, Scene, Wall
 
 GLASS = Material(young=7e10, poisson=0.22, density=2500.0, name="glass")
 

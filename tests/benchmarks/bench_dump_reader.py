@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from kncal.io.liggghts_dump import read_dump
+from kncal.record.liggghts_dump import read_dump
 
 HEAD = (
     "ITEM: TIMESTEP\n{step}\nITEM: NUMBER OF ATOMS\n{atoms}\n"

@@ -17,15 +17,15 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from kncal.case_file import load_case
-from kncal.compare import compare
 from kncal.engines.base import run_result
-from kncal.folder import write_result
-from kncal.planning import plan
-from kncal.sweep import Settings, ThreadExecutor, combine, design, grid_axis, run_sweep, sweep_status
-from kncal.sweep.design import run_folder, write_design
-from kncal.sweep.states import STATES, StatesFile, read_state, stamps_of
-from kncal.workflow import get_engine, load_both, run_case
+from kncal.observe.compare import compare
+from kncal.runs.folder import write_result
+from kncal.runs.workflow import get_engine, load_both, run_case
+from kncal.scene.case_file import load_case
+from kncal.scene.plan import plan
+from kncal.study import Settings, ThreadExecutor, combine, design, grid_axis, run_sweep, sweep_status
+from kncal.study.design import run_folder, write_design
+from kncal.study.states import STATES, StatesFile, read_state, stamps_of
 
 CASE = """
 [materials.glass]

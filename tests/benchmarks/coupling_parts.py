@@ -1,7 +1,8 @@
 """What LIGGGHTS and DPMFoam need by themselves, and what the exchange adds: the parts behind bench_coupling.
 
 *LIGGGHTS*: in one process and one bed, blocks of couplings in random order, each block once per round: as one single
-``run`` under the held force; by `kncal.coupling.dem_child` with all that it does per coupling; and the same without its
+``run`` under the held force; by `kncal.engines.liggghts.library_child` with all that it does per coupling; and the
+same without its
 looks at the overlaps. What is added to a coupling is the median over the rounds of the differences. The bed rests,
 nine tenths of its weight taken off: it has its most contacts, and blocks differ in nothing else.
 
@@ -30,20 +31,21 @@ from pathlib import Path
 
 import numpy as np
 
-from kncal.bed.case_file import load_bed
-from kncal.bed.model import BedModel
-from kncal.bed.packing import packing
-from kncal.bed.planning import plan_bed
-from kncal.checks import Array
-from kncal.coupling import adapter_build, dem_child
-from kncal.coupling.base import GasSetup
-from kncal.coupling.dem_deck import DECK, middle, sides, write_deck
-from kncal.coupling.forces import Exchange
-from kncal.coupling.gas_case import SOLVER, case_environment, make_mesh, write_case
-from kncal.coupling.impacts import Before
-from kncal.coupling.live import LiveGas
-from kncal.io.openfoam import write_parcel_constants, write_parcel_motion
-from kncal.runner import run_process, solver_environment
+from kncal.core.checks import Array
+from kncal.core.process import run_process, solver_environment
+from kncal.engines.coupling import GasSetup
+from kncal.engines.dpmfoam import adapter_build
+from kncal.engines.dpmfoam.case import SOLVER, case_environment, make_mesh, write_case
+from kncal.engines.dpmfoam.forces import Exchange
+from kncal.engines.dpmfoam.live import LiveGas
+from kncal.engines.liggghts import library_child as dem_child
+from kncal.engines.liggghts.bed_deck import DECK, middle, sides, write_deck
+from kncal.engines.liggghts.impacts import Before
+from kncal.record.openfoam import write_parcel_constants, write_parcel_motion
+from kncal.scene.bed_case_file import load_bed
+from kncal.scene.bed_model import BedModel
+from kncal.scene.bed_planning import plan_bed
+from kncal.scene.packing import packing
 
 #: Couplings in a block: short against the drift of a shared machine, long against the clock.
 BLOCK = 5

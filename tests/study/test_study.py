@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from kncal.errors import CaseFileError, InputError
+from kncal.core.errors import CaseFileError, InputError
+from kncal.runs.workflow import load_run
 from kncal.study import Variant, removing, run_variants
-from kncal.workflow import load_run
 
 CASE = """
 [materials.glass]

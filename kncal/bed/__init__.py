@@ -1,1 +1,0 @@
-"""Fluidised beds: what is simulated, its numbers, what is observed in it."""

@@ -1,0 +1,393 @@
+"""What this machine has of what kncal needs: one finding per thing, with a hint how to mend it.
+
+Nothing here prints, and nothing missing raises: a finding says so. Solvers and the graphics library are
+asked in child processes with a time limit: they may hang, and VTK crashes a process that has no libEGL.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from importlib import metadata
+from pathlib import Path
+
+from kncal.core.awake import communicate
+from kncal.core.errors import KncalError
+from kncal.core.mpi import MPIRUN, run_ranks
+from kncal.core.process import solver_environment
+from kncal.core.scratch import scratch
+from kncal.core.shipped import folder
+
+#: Seconds that a solver may take to say its version (it takes about one), and rendering to draw one sphere.
+SOLVER_LIMIT = 5.0
+RENDER_LIMIT = 8.0
+
+#: Free space that a run with its recorded frames and report should have [bytes].
+ROOM = 10**9
+
+#: Draws one sphere off the screen and says what kind of window did it; VTK prints its own warnings around it.
+RENDER_PROBE = """
+import pyvista
+plotter = pyvista.Plotter(off_screen=True, window_size=(64, 64))
+plotter.add_mesh(pyvista.Sphere())
+if plotter.screenshot(return_img=True).std() == 0:
+    raise SystemExit("the picture is empty")
+print("drawn by", plotter.render_window.GetClassName())
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """One thing looked for on this machine.
+
+    Attributes
+    ----------
+    name : what was looked for
+    ok : whether it is there and fit for use
+    found : version and place, or what is wrong
+    needed_for : what does not work without it
+    hint : how to mend it, empty if ``ok``
+    """
+
+    name: str
+    ok: bool
+    found: str
+    needed_for: str
+    hint: str = ""
+
+
+def examine() -> list[Finding]:
+    """Look at this machine; takes less than 10 s.
+
+    Returns
+    -------
+    list of Finding
+        Python, packages, solvers, rendering, disk (of the working folder), shipped files, temporary folder.
+    """
+    slow: list[Callable[[], Finding]] = [_liggghts, _openfoam, _mpirun, _rendering, _slurm]
+    with ThreadPoolExecutor(len(slow)) as pool:
+        started = [pool.submit(look) for look in slow]
+        quick = [_python(), *_packages(), _dask(), _adapter()]
+        asked = [future.result() for future in started]
+    return [
+        *quick,
+        *asked,
+        _disk(Path.cwd(), ROOM),
+        _shipped("cases", "case.toml", "cases by name, such as `kncal run falling_particle`"),
+        _shipped("templates", "*.j2", "writing solver input and reports"),
+        _temporary_folder(),
+    ]
+
+
+def solver_findings() -> tuple[Finding, Finding]:
+    """Look for LIGGGHTS and OpenFOAM only."""
+    return _liggghts(), _openfoam()
+
+
+def _adapter() -> Finding:
+    from kncal.engines.dpmfoam.adapter_build import AdapterError, find
+
+    hint = "optional; kncal adapter build (downloads 45 MB, needs a C++ compiler)"
+    needed_for = "coupled beds without starting the gas solver anew for each coupling"
+    try:
+        library = find()
+    except AdapterError as error:
+        return Finding(name="adapter", ok=False, found=str(error), needed_for=needed_for, hint=hint)
+    if library is None:
+        return Finding(name="adapter", ok=False, found="not built", needed_for=needed_for, hint=hint)
+    return Finding(name="adapter", ok=True, found=str(library), needed_for=needed_for)
+
+
+def _python() -> Finding:
+    ok = sys.version_info >= (3, 11)
+    return Finding(
+        name="Python",
+        ok=ok,
+        found=f"{platform.python_version()} ({sys.executable})",
+        needed_for="everything",
+        hint="" if ok else "install Python 3.11 or newer",
+    )
+
+
+def _packages() -> list[Finding]:
+    """One finding for kncal itself and one for each package that its metadata requires outside extras."""
+    from packaging.requirements import Requirement
+
+    try:
+        itself = metadata.distribution("kncal")
+    except metadata.PackageNotFoundError:
+        return [
+            Finding(
+                name="kncal",
+                ok=False,
+                found="imported from a folder, not installed",
+                needed_for="the command `kncal`, and knowing which packages it requires",
+                hint="python -m pip install . (in kncal's folder), or make demo",
+            )
+        ]
+    findings = [Finding(name="kncal", ok=True, found=itself.version, needed_for="everything")]
+    for text in itself.requires or ():
+        required = Requirement(text)
+        if required.marker is None or required.marker.evaluate({"extra": ""}):
+            findings.append(_package(required.name, str(required.specifier)))
+    return findings
+
+
+def _package(name: str, specifier: str) -> Finding:
+    """Whether package ``name`` is installed in a version that ``specifier`` (``>=3,<4``, or empty) allows."""
+    from packaging.specifiers import SpecifierSet
+
+    try:
+        version = metadata.version(name)
+    except metadata.PackageNotFoundError:
+        version = ""
+    ok = bool(version) and SpecifierSet(specifier).contains(version, prereleases=True)
+    wanted = f"{name}{specifier}"
+    return Finding(
+        name=f"package {name}",
+        ok=ok,
+        found=version if ok else f"{version or 'nothing'} where {wanted} is required",
+        needed_for="everything",
+        hint="" if ok else f"python -m pip install '{wanted}'",
+    )
+
+
+def _dask() -> Finding:
+    versions: dict[str, str] = {}
+    for name in ("distributed", "dask-jobqueue", "cryptography"):
+        try:
+            versions[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    ok = len(versions) == 3
+    found = ", ".join(f"{name} {version}" for name, version in versions.items())
+    return Finding(
+        name="Dask",
+        ok=ok,
+        found=found if ok else f"not installed{f' (only {found})' if found else ''}",
+        needed_for="sweeps with --executor dask or slurm; one machine does not need it",
+        hint="" if ok else "pip install 'kncal[dask]'",
+    )
+
+
+def _slurm() -> Finding:
+    needed_for = "sweeps in Slurm jobs; where there is no Slurm nothing is missing"
+    path = shutil.which("sbatch")
+    if path is None:
+        hint = "only on a cluster with Slurm: work on a node where jobs are submitted"
+        return Finding(name="Slurm", ok=False, found="no sbatch on PATH", needed_for=needed_for, hint=hint)
+    failure, text = _ask(["sinfo", "--noheader", "--format=%R"], SOLVER_LIMIT, os.environ)
+    if failure:
+        found = f"{path}, but sinfo {failure}: {_last_line(text)}"
+        hint = "see that slurm.conf (SLURM_CONF) is the cluster's, and that its controller runs"
+        return Finding(name="Slurm", ok=False, found=found, needed_for=needed_for, hint=hint)
+    _, version = _ask([path, "--version"], SOLVER_LIMIT, os.environ)
+    queues = ", ".join(sorted({line.strip() for line in text.splitlines() if line.strip()}))
+    found = f"{_last_line(version).removeprefix('slurm ')} ({path}), partitions: {queues[:200] or 'none'}"
+    return Finding(name="Slurm", ok=True, found=found, needed_for=needed_for)
+
+
+def _liggghts() -> Finding:
+    from kncal.engines.liggghts.batch import VERSION
+
+    # `-log none` keeps it from writing a log; an empty deck makes it print its banner and end.
+    return _program(
+        "liggghts",
+        ["-log", "none"],
+        r"Version LIGGGHTS-PUBLIC ([0-9][\w.]*)",
+        wanted=VERSION,
+        title="LIGGGHTS",
+        needed_for="--engine liggghts (the engine builtin needs no solver)",
+        package="liggghts",
+    )
+
+
+def _openfoam() -> Finding:
+    finding = _program(
+        "DPMFoam",
+        ["-help"],
+        r"Using:\s+OpenFOAM\S*\s+\((\w+)\)[^\n]*(?:\nBuild:\s+(\S+))?",
+        wanted="1912",
+        title="OpenFOAM",
+        needed_for="cases with gas; contact scenes do not need it",
+        package="openfoam",
+    )
+    given = os.environ.get("WM_PROJECT_DIR")
+    if finding.ok or not given:
+        return finding
+    # The usual reason: without the settings in that folder none of its programs starts.
+    return replace(finding, hint=f"unset WM_PROJECT_DIR (it is {given}), or: {finding.hint}")
+
+
+def _mpirun() -> Finding:
+    finding = _program(
+        MPIRUN,
+        ["--version"],
+        r"mpirun \(Open MPI\) ([0-9][\w.]*)",
+        wanted=None,
+        title="Open MPI",
+        needed_for="a run on several ranks (-n); runs on one do not need it",
+        package="openmpi-bin",
+    )
+    if not finding.ok:
+        return finding
+    problem = _two_ranks()
+    if not problem:
+        return replace(finding, found=f"{finding.found}, starts two ranks")
+    hint = "runs on one rank are not concerned; what it says is mostly about the machine's network or temporary folder"
+    return replace(finding, ok=False, found=f"{finding.found}, but two ranks do not start: {problem}", hint=hint)
+
+
+def _two_ranks() -> str:
+    """Start two ranks of LIGGGHTS (where there is none: of a program that does nothing); return what is wrong."""
+    # With an empty deck it joins the other rank, prints its banner and ends.
+    solver = shutil.which("liggghts")
+    command = ("true",) if solver is None else (solver, "-log", "none")
+    try:
+        with scratch() as place:
+            start = run_ranks(command, 2, oversubscribe=True, cwd=place, log=place / "log", timeout=SOLVER_LIMIT)
+    except (KncalError, OSError) as error:
+        return str(error)
+    if start.status != "exited":
+        return f"no answer within {SOLVER_LIMIT:g} s" if start.status == "timed_out" else start.status
+    if start.returncode == 0:
+        return ""
+    how = f"signal {start.signal}" if start.returncode is None else f"code {start.returncode}"
+    return f"ended with {how}: {_last_line(chr(10).join(start.last_lines))}"
+
+
+def _program(
+    program: str,
+    arguments: list[str],
+    pattern: str,
+    *,
+    wanted: str | None,
+    title: str,
+    needed_for: str,
+    package: str,
+) -> Finding:
+    """Start ``program`` and find its version by ``pattern`` (group 1; group 2, if any, is the build)."""
+    mend = f"apt-get install {package}"
+    path = shutil.which(program)
+    if path is None:
+        return Finding(name=title, ok=False, found=f"no {program} on PATH", needed_for=needed_for, hint=mend)
+    failure, text = _ask([path, *arguments], SOLVER_LIMIT, solver_environment())
+    match = re.search(pattern, text)
+    if match is None or failure:
+        found = f"{path} {failure or 'does not say its version'}: {_last_line(text)}"
+        hint = f"start {path} by hand; if it is broken: {mend} --reinstall"
+        return Finding(name=title, ok=False, found=found, needed_for=needed_for, hint=hint)
+    version, *build = (group for group in match.groups() if group)
+    found = f"{' '.join([version, *build])} ({path})"
+    if wanted is not None and version != wanted:
+        hint = f"kncal is written for version {wanted}, that of Debian 12: {mend}"
+        return Finding(name=title, ok=False, found=found, needed_for=needed_for, hint=hint)
+    return Finding(name=title, ok=True, found=found, needed_for=needed_for)
+
+
+def _rendering() -> Finding:
+    failure, text = _ask([sys.executable, "-c", RENDER_PROBE], RENDER_LIMIT, os.environ)
+    drawn = None if failure else re.search(r"drawn by (\w+)", text)
+    mend = "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri"
+    if failure.startswith("gave no answer"):
+        mend = f"try again, the first start is the slowest; if that does not help: {mend}"
+    return Finding(
+        name="off-screen rendering",
+        ok=drawn is not None,
+        found=drawn.group(1) if drawn else f"the trial {failure or 'drew nothing'}: {_last_line(text)}",
+        needed_for="3-D pictures; diagrams do not need it",
+        hint="" if drawn else mend,
+    )
+
+
+def _disk(where: Path, room: float) -> Finding:
+    free = shutil.disk_usage(where).free
+    ok = free >= room
+    return Finding(
+        name="free disk space",
+        ok=ok,
+        found=f"{free / 1e9:.1f} GB in {where}",
+        needed_for="recorded frames and reports; a full disk ruins a run",
+        hint="" if ok else f"make room: at least {room / 1e9:g} GB, or work in another folder",
+    )
+
+
+def _shipped(name: str, pattern: str, needed_for: str) -> Finding:
+    try:
+        place = folder(name)
+    except FileNotFoundError as error:
+        count, found = 0, str(error)
+    else:
+        count = sum(1 for _ in place.rglob(pattern))
+        found = f"{count} in {place}"
+    return Finding(
+        name=name,
+        ok=count > 0,
+        found=found,
+        needed_for=needed_for,
+        hint="" if count else "the installation is incomplete: python -m pip install --force-reinstall kncal",
+    )
+
+
+def _temporary_folder() -> Finding:
+    try:
+        with scratch() as place:
+            (place / "probe").write_text("probe", encoding="utf-8")
+            found, ok = str(place.parent), True
+    except OSError as error:
+        found, ok = str(error), False
+    return Finding(
+        name="temporary folder",
+        ok=ok,
+        found=found,
+        needed_for="several ranks of a solver, and Python itself",
+        hint="" if ok else "set TMPDIR to a folder that you can write to and that has room",
+    )
+
+
+def _ask(command: list[str], limit: float, environment: Mapping[str, str]) -> tuple[str, str]:
+    """Run ``command`` with nothing to read; return how it failed (empty if it did not) and all it printed."""
+    with ExitStack() as stack:
+        try:
+            # Solvers that start side by side must not share Open MPI's folder: the first to end removes it.
+            session = stack.enter_context(scratch())
+            process = subprocess.Popen(  # noqa: S603 - an argument list, no shell, no text of a user
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                env={**environment, "OMPI_MCA_orte_tmpdir_base": str(session)},
+                start_new_session=True,
+            )
+        except OSError as error:
+            return "cannot be started", str(error)
+        stack.enter_context(process)
+        try:
+            output, _ = communicate(process, limit)
+            late = False
+        except subprocess.TimeoutExpired:
+            # The whole group: a grandchild that holds the pipe open would keep us waiting.
+            os.killpg(process.pid, signal.SIGKILL)
+            output, _ = process.communicate()
+            late = True
+    text = output.decode(errors="replace")
+    if late:
+        return f"gave no answer within {limit:g} s", text
+    if process.returncode < 0:
+        number = -process.returncode
+        return f"was ended by signal {number} ({signal.strsignal(number)})", text
+    return (f"ended with code {process.returncode}" if process.returncode else ""), text
+
+
+def _last_line(text: str) -> str:
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    return "".join(c for c in lines[-1] if c.isprintable()) if lines else "it printed nothing"

@@ -1,0 +1,1 @@
+"""Errors, checks, units, files, processes, templates: no physics, no names of solvers."""

@@ -1,0 +1,259 @@
+"""One solver process that is talked to through a socket: start, command and answer, end. No wait without a limit."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from kncal.core.awake import LOOK, awake
+from kncal.core.errors import RunError, SolverMissingError
+from kncal.core.process import ProcessResult, is_stopped
+from kncal.core.stopping import check_stop, shielded_start
+from kncal.core.text import decode_line
+
+_TOKEN = 4  # bytes of a command and of an answer
+_GRACE = 10.0  # s that a solver may take to end once it was asked, or once its socket has closed
+_CLOCK = os.sysconf("SC_CLK_TCK")
+_LOG_LIMIT = 16 << 20  # bytes; a long run would write gigabytes
+_KEPT = 1 << 14  # bytes from the end of the log that are searched for last words
+
+
+def receive(channel: socket.socket, size: int, limit: float) -> bytes:
+    """Return what a solver sends, at most ``size`` bytes; empty if it has closed its end.
+
+    Raises
+    ------
+    TimeoutError
+        If nothing comes within ``limit`` [s] in which kncal ran (see `kncal.core.awake`).
+    ConnectionError
+        If the solver is gone.
+    KeyboardInterrupt
+        If it was asked to stop (see `kncal.core.stopping`).
+    """
+    deadline = awake() + limit
+    while True:
+        channel.settimeout(min(max(deadline - awake(), 1e-3), LOOK))
+        try:
+            return channel.recv(size)
+        except TimeoutError:
+            if awake() >= deadline:
+                raise
+            check_stop()
+
+
+def silent(program: str, pid: int, limit: float, log: Path) -> RunError:
+    """Return the error that says why a solver that lives did not answer within ``limit`` [s]; ask before it is ended.
+
+    Its failure is "peer-stopped" if a signal had stopped the solver, "peer-died" if not.
+    """
+    if is_stopped(pid):
+        return RunError(
+            f"{program} (process {pid}) was stopped from outside (SIGSTOP, or a debugger) and did not go on within "
+            f"{limit:.3g} s while kncal ran; kncal has ended it; log: {log}",
+            "peer-stopped",
+        )
+    return RunError(f"{program} did not answer within {limit:.3g} s, and was ended; log: {log}", "peer-died")
+
+
+class PeerLostError(RunError):
+    """The solver has ended without an answer; ``result`` says how."""
+
+    def __init__(self, result: ProcessResult) -> None:
+        super().__init__(f"{result.command[0]} did not answer")
+        self.result = result
+
+
+class SolverProcess:
+    """A child that answers 4-byte commands.
+
+    It dies with the thread that started it, also if that is killed (where ``setpriv`` exists), and sees the end of
+    the socket otherwise. Its log is cut when it becomes too long: the part before is kept in ``<log>.before``.
+
+    Parameters
+    ----------
+    command : sequence of str
+    cwd, log : Path
+        Folder to run in; file that gets its output (replaced; a symbolic link is refused).
+    environment : mapping
+        The whole environment, but for ``variable``.
+    variable : str
+        Set to "<descriptor of the socket> <descriptor>".
+    descriptor : int
+        Of the shared memory, inherited.
+    pass_fds : sequence of int
+        More descriptors that it inherits.
+
+    Raises
+    ------
+    SolverMissingError
+        If there is no such program.
+    RunError
+        If the log cannot be opened or the program cannot be started.
+    """
+
+    def __init__(
+        self,
+        command: Sequence[str],
+        *,
+        cwd: Path,
+        log: Path,
+        environment: Mapping[str, str],
+        variable: str,
+        descriptor: int,
+        pass_fds: Sequence[int] = (),
+    ) -> None:
+        found = shutil.which(command[0], path=environment.get("PATH", os.defpath))
+        if found is None:
+            raise SolverMissingError(f"{command[0]} is not installed (no such program on PATH)")
+        # As in kncal.core.process: the signal on the parent's death is asked for after the fork, by a program.
+        setpriv = shutil.which("setpriv")
+        guard = [setpriv, "--pdeathsig", "KILL", "--"] if setpriv else []
+        self.log, self._command = log, tuple(command)
+        self._begin = time.monotonic()
+        self._result: ProcessResult | None = None
+        self._cpu = 0.0
+        flags = os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND | os.O_NOFOLLOW | os.O_CLOEXEC
+        try:
+            self._log = os.open(log, flags, 0o644)
+        except OSError as error:
+            raise RunError(f"{log}: cannot be opened as the log ({error.strerror})") from error
+        self._socket, theirs = socket.socketpair()
+        inherited = (theirs.fileno(), descriptor)
+        try:
+            with shielded_start():
+                self._child = subprocess.Popen(  # noqa: S603 - a list of arguments, no shell
+                    [*guard, found, *command[1:]],
+                    cwd=cwd,
+                    env={**environment, variable: f"{inherited[0]} {inherited[1]}"},
+                    stdin=subprocess.DEVNULL,
+                    stdout=self._log,
+                    stderr=subprocess.STDOUT,
+                    pass_fds=(*inherited, *pass_fds),
+                    process_group=0,
+                )
+        except (OSError, ValueError) as error:
+            self._socket.close()
+            os.close(self._log)
+            raise RunError(f"{found}: cannot be started ({error})") from error
+        finally:
+            theirs.close()
+
+    @property
+    def pid(self) -> int:
+        """Process number of the solver."""
+        return self._child.pid
+
+    @property
+    def ended(self) -> bool:
+        """Whether the solver has been collected."""
+        return self._result is not None
+
+    @property
+    def cpu_seconds(self) -> float:
+        """User and system time so far [s]; while it lives in steps of the kernel's clock (10 ms)."""
+        if self._result is not None:
+            return self._result.cpu_seconds
+        try:
+            # Behind the name, which may hold anything: state is field 3, user and system time 14 and 15.
+            fields = Path(f"/proc/{self.pid}/stat").read_text().rpartition(")")[2].split()
+        except OSError:
+            return self._cpu
+        self._cpu = (int(fields[11]) + int(fields[12])) / _CLOCK
+        return self._cpu
+
+    def send(self, command: int) -> None:
+        """Send a command; a solver that has gone is noticed by `receive`."""
+        self._bound_log()
+        try:
+            self._socket.sendall(command.to_bytes(_TOKEN, "little"))
+        except OSError:
+            return  # it has gone: waiting for the answer says how
+
+    def receive(self, limit: float) -> None:
+        """Wait for the answer, at most ``limit`` seconds; whatever goes wrong, the solver is ended.
+
+        Raises
+        ------
+        PeerLostError
+            If it ended.
+        RunError
+            If it did not answer in time; see `silent`.
+        """
+        try:
+            if len(receive(self._socket, _TOKEN, limit)) == _TOKEN:
+                return
+        except TimeoutError as late:
+            try:
+                raise silent(self._command[0], self.pid, limit, self.log) from late
+            finally:
+                self._signal(signal.SIGKILL)
+                self.end()
+        except ConnectionError:
+            pass  # the same as the end of what is to be received: it has gone
+        except BaseException:  # Ctrl-C: the answer would be taken for that to another command
+            self._signal(signal.SIGKILL)
+            self.end()
+            raise
+        raise PeerLostError(self.end())
+
+    def end(self) -> ProcessResult:
+        """Close the socket, which ends the solver, and collect it; one that lingers is killed. May be called twice."""
+        if self._result is None:
+            self._socket.close()
+            try:
+                self._wait(_GRACE)
+            finally:
+                self._signal(signal.SIGKILL)  # also what it may have left in its group
+                _, state, usage = os.wait4(self.pid, 0)
+                code = self._child.returncode = os.waitstatus_to_exitcode(state)
+                self._result = ProcessResult(
+                    status="exited",
+                    returncode=None if code < 0 else code,
+                    signal=-code if code < 0 else None,
+                    cpu_seconds=usage.ru_utime + usage.ru_stime,
+                    wall_seconds=time.monotonic() - self._begin,
+                    last_lines=self.last_lines(),
+                    command=self._command,
+                )
+                os.close(self._log)
+        return self._result
+
+    def finish(self, command: int) -> ProcessResult:
+        """Ask the solver to end by itself and collect it; one that does not is killed."""
+        if self._result is None:
+            self.send(command)
+            self._wait(_GRACE)
+        return self.end()
+
+    def last_lines(self) -> tuple[str, ...]:
+        """Return the last lines of the log (at most 20)."""
+        size = os.fstat(self._log).st_size
+        block = os.pread(self._log, _KEPT, max(size - _KEPT, 0))
+        return tuple(decode_line(line) for line in block.rstrip(b"\n").split(b"\n")[-20:])
+
+    def _wait(self, limit: float) -> None:
+        """Wait until the child has ended (it stays a zombie, so its number stays its own) or the limit is over."""
+        deadline, pause = awake() + limit, 0.002
+        while os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
+            if awake() > deadline:
+                return
+            time.sleep(pause)
+            pause = min(1.5 * pause, 0.05)
+
+    def _signal(self, number: int) -> None:
+        try:
+            os.killpg(self.pid, number)
+        except ProcessLookupError:
+            return  # all of it has gone
+
+    def _bound_log(self) -> None:
+        """Cut the log when it is too long; only while the solver waits, and it appends, so no line is torn."""
+        if os.fstat(self._log).st_size > _LOG_LIMIT:
+            shutil.copyfile(self.log, self.log.with_name(f"{self.log.name}.before"))
+            os.ftruncate(self._log, 0)

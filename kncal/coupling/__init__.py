@@ -1,1 +1,0 @@
-"""Gas and particles together: two transports to the gas solver, one exchange loop."""

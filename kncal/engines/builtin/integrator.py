@@ -1,0 +1,411 @@
+"""The small integrator: the same iteration as LIGGGHTS' for a few spheres and plane walls, in plain floats.
+
+Velocity Verlet (kick, drift, force, kick) with forces from x(t + dt) and v(t + dt/2); the set-up force at
+step 0 sees the full-step velocity and does not load the tangential springs. Where nothing touches and only
+gravity acts, velocity Verlet is exact, so flights are passed in one stride per frame. Plain floats, because
+NumPy is slower for arrays of three numbers.
+
+Sources: Swope et al., J. Chem. Phys. 76 (1982) 637 (velocity Verlet); Cundall & Strack, Géotechnique 29
+(1979) 47 (tangential spring with a Coulomb limit); radii of the contact points as measured in LIGGGHTS 3.8.0.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from array import array
+from collections.abc import Callable
+from math import sqrt
+
+import numpy as np
+
+from kncal.core.errors import RenderError, RunError
+from kncal.engines.tunnelling import PASSED_THROUGH
+from kncal.physics.material import sphere_mass
+from kncal.record.frames import Trajectory
+from kncal.scene.flight import pair_touch_time, wall_touch_time
+from kncal.scene.model import Model, PairContact
+from kncal.scene.scene import AXES, Wall
+
+#: Steps between two reports of progress (and two looks at whether the numbers are still finite).
+REPORT_EVERY = 2000
+#: More frames, or numbers in all of them, are no record that could be read back.
+MOST_FRAMES, MOST_NUMBERS = 5_000_000, 60_000_000
+#: Whole steps left before the next touch when a flight is passed in one stride.
+_STRIDE_MARGIN = 2
+
+Force = Callable[[float, float], float]
+#: Adds the forces of one contact; the argument says whether the tangential spring moves. Returns the gap [m].
+_Apply = Callable[[bool], float]
+_Vector = tuple[float, float, float]
+
+
+def normal_force(contact: PairContact, *, cut: bool = True) -> Force:
+    """Return F(delta, delta_dot) = k delta^n + c delta^p delta_dot [N]; if ``cut``, the force end has no attraction."""
+    k, n, c, p = contact.k, contact.n, contact.c, contact.p
+    force: Force
+    if n == 1.0 and p == 0.0:
+
+        def force(delta: float, rate: float) -> float:
+            return k * delta + c * rate
+
+    elif n == 1.5 and (p == 0.25 or c == 0.0):
+
+        def force(delta: float, rate: float) -> float:
+            root = sqrt(delta)
+            return k * delta * root + c * sqrt(root) * rate
+
+    else:
+
+        def force(delta: float, rate: float) -> float:
+            return float(k * delta**n + c * delta**p * rate)
+
+    if cut and contact.end == "force":
+        return lambda delta, rate: max(force(delta, rate), 0.0)
+    return force
+
+
+class _Motion:
+    """Where everything is: flat lists of three numbers per particle.
+
+    The contacts hold on to the lists, so they are changed in place only.
+    """
+
+    def __init__(self, model: Model) -> None:
+        particles, dt, gravity = model.scene.particles, model.dt, model.scene.gravity
+        masses = [float(sphere_mass(p.material, p.radius)) for p in particles]
+        self.dt = dt
+        self.x = [float(c) for p in particles for c in p.position]
+        self.v = [float(c) for p in particles for c in p.velocity]
+        self.spin = [float(c) for p in particles for c in p.spin]
+        self.force = [0.0] * (3 * len(particles))
+        self.torque = [0.0] * (3 * len(particles))
+        self.gravity = [float(g) for _ in particles for g in gravity]
+        self.weight = [m * g for m in masses for g in gravity]
+        self.kick = [0.5 * dt / m for m in masses for _ in range(3)]
+        inertias = [0.4 * m * p.radius**2 for m, p in zip(masses, particles, strict=True)]
+        self.turn = [0.5 * dt / inertia for inertia in inertias for _ in range(3)]
+        self.turning = any(c.friction > 0.0 for c in model.contacts.values())
+        self.applies = _contacts(model, self)
+        self.stride_limits = _stride_limits(model, self)
+
+    def load(self, moving: bool) -> float:
+        """Compute all forces; return the smallest gap [m]."""
+        self.force[:] = self.weight
+        if self.turning:
+            self.torque[:] = [0.0] * len(self.torque)
+        return min([apply(moving) for apply in self.applies], default=math.inf)
+
+    def step(self) -> float:
+        """One step of velocity Verlet; return the smallest gap [m]."""
+        x, v, kick, force, dt = self.x, self.v, self.kick, self.force, self.dt
+        v[:] = [b + s * f for b, s, f in zip(v, kick, force, strict=True)]
+        x[:] = [a + dt * b for a, b in zip(x, v, strict=True)]
+        if self.turning:
+            self._turn()
+        gap = self.load(True)
+        v[:] = [b + s * f for b, s, f in zip(v, kick, force, strict=True)]
+        if self.turning:
+            self._turn()
+        return gap
+
+    def _turn(self) -> None:
+        self.spin[:] = [w + s * t for w, s, t in zip(self.spin, self.turn, self.torque, strict=True)]
+
+    def free_steps(self) -> int:
+        """Return how many whole steps surely pass before anything touches."""
+        return min((limit() for limit in self.stride_limits), default=sys.maxsize)
+
+    def fly(self, most: int) -> int:
+        """Move on by up to ``most`` whole steps of free flight; return how many, 0 if a touch is near."""
+        stride = min(most, self.free_steps())
+        if stride < 1:
+            return 0
+        h = stride * self.dt
+        self.x[:] = [a + h * (b + 0.5 * h * g) for a, b, g in zip(self.x, self.v, self.gravity, strict=True)]
+        self.v[:] = [b + h * g for b, g in zip(self.v, self.gravity, strict=True)]
+        return stride
+
+
+def integrate(model: Model, progress: Callable[[int, int], None] | None = None) -> Trajectory:
+    """Run ``model`` for its ``n_steps`` and return the recorded frames.
+
+    A frame is followed by the next one ``record_every`` steps later in contact, else up to ``flight_every`` steps
+    later, but before anything can touch; step 0 and the last step are always recorded.
+
+    Parameters
+    ----------
+    model : Model
+    progress : called every `REPORT_EVERY` steps or so with (steps done, steps in all); what it raises ends
+        the run
+
+    Raises
+    ------
+    RenderError
+        If `check` refuses the model.
+    RunError
+        If a particle goes through another body or a number is no longer finite: the time step is too long or
+        the contact too soft; or if there would be more than `MOST_FRAMES` frames or `MOST_NUMBERS` in them.
+    """
+    check(model)
+    motion = _Motion(model)
+    x, v, spin, force = motion.x, motion.v, motion.spin, motion.force
+    last = model.n_steps
+    steps, frames = array("q"), tuple(array("d") for _ in range(4))
+    step, next_frame, next_report = 0, 0, REPORT_EVERY
+    most = min(MOST_FRAMES, MOST_NUMBERS // (4 * len(x)))
+    gap = motion.load(False)
+    while True:
+        if step == next_frame:
+            if len(steps) >= most:
+                raise RunError(
+                    f"step {step} of {last}: {most} frames of {len(x) // 3} particles are recorded, expected no more: "
+                    "take a larger run.record_every, or a shorter run"
+                )
+            steps.append(step)
+            for frame, values in zip(frames, (x, v, spin, force), strict=True):
+                frame.extend(values)
+            free = 0 if gap <= 0.0 else min(model.flight_every, motion.free_steps())
+            next_frame = min(last, step + max(model.record_every, free))
+        if step >= next_report or step == last:
+            if not math.isfinite(sum(x) + sum(v) + sum(spin)):
+                raise RunError(
+                    f"step {step}: a position or velocity is not finite: expected a smaller time step", "not-finite"
+                )
+            if progress is not None:
+                progress(step, last)
+            next_report = step + REPORT_EVERY
+        if step == last:
+            break
+        if gap > 0.0 and next_frame - step > 1 and (stride := motion.fly(next_frame - step)):
+            step += stride
+            gap = motion.load(True)
+        else:
+            gap = motion.step()
+            step += 1
+    return _trajectory(model, steps, frames)
+
+
+def check(model: Model) -> None:
+    """Refuse what this integrator would not simulate, or not simulate right.
+
+    Raises
+    ------
+    RenderError
+        For rolling friction, and for numbers that make no run (a step or stiffness that is not positive ...).
+    """
+    for names, contact in model.contacts.items():
+        who = "–".join(names)
+        if contact.rolling_friction > 0.0:
+            raise RenderError(
+                f"{who}: rolling_friction = {contact.rolling_friction:g}: the builtin engine has no rolling "
+                "friction: expected 0, or the engine liggghts"
+            )
+        numbers = {"k": contact.k, "c": contact.c, "friction": contact.friction, "k_t": contact.k_t}
+        for name, value in numbers.items():
+            if not 0.0 <= value < math.inf or (name == "k" and value == 0.0):
+                raise RenderError(f"{who}: {name} = {value:g}: expected a finite number above 0 (k) or not below 0")
+    counts = {"n_steps": model.n_steps, "record_every": model.record_every, "flight_every": model.flight_every}
+    for name, count in counts.items():
+        if count < 1:
+            raise RenderError(f"{name} = {count}: expected at least 1")
+    if not 0.0 < model.dt < math.inf:
+        raise RenderError(f"dt = {model.dt:g}: expected a positive time step [s]")
+
+
+def _trajectory(model: Model, counted: array[int], frames: tuple[array[float], ...]) -> Trajectory:
+    particles = model.scene.particles
+    steps = np.array(counted, dtype=np.int64)
+    shape = (len(steps), len(particles), 3)
+    x, v, spin, force = (np.array(frame, dtype=np.float64).reshape(shape) for frame in frames)
+    return Trajectory(
+        names=tuple(p.name for p in particles),
+        step=steps,
+        t=steps.astype(np.float64) * model.dt,
+        x=x,
+        v=v,
+        spin=spin,
+        force=force,
+        radius=np.array([p.radius for p in particles], dtype=np.float64),
+    )
+
+
+def _contacts(model: Model, motion: _Motion) -> list[_Apply]:
+    index = {p.name: i for i, p in enumerate(model.scene.particles)}
+    applies = []
+    for a, b in model.scene.body_pairs():
+        contact = model.contacts[a.name, b.name]
+        if isinstance(b, Wall):
+            applies.append(_wall_contact(model, contact, motion, index[a.name], b))
+        else:
+            applies.append(_pair_contact(model, contact, motion, index[a.name], index[b.name]))
+    return applies
+
+
+def _spring(contact: PairContact) -> Callable[[float], float]:
+    """Tangential stiffness [N/m] at an overlap: constant, or 8 G_eff sqrt(R_eff delta) (Mindlin 1949)."""
+    k_t = contact.k_t
+    return (lambda delta: k_t) if contact.n == 1.0 else (lambda delta: k_t * sqrt(delta))
+
+
+def _wall_contact(model: Model, contact: PairContact, motion: _Motion, i: int, wall: Wall) -> _Apply:
+    x, v, spin, force, torque = motion.x, motion.v, motion.spin, motion.force, motion.torque
+    radius, plane, dt = float(model.scene.particles[i].radius), float(wall.position), model.dt
+    axis = AXES.index(wall.axis)
+    n, b, c = 3 * i + axis, 3 * i + (axis + 1) % 3, 3 * i + (axis + 2) % 3
+    side = 1.0 if x[n] > plane else -1.0
+    law, mu, spring = normal_force(contact), contact.friction, _spring(contact)
+    who = f"{model.scene.particles[i].name}–{wall.name}"
+    s_b = s_c = 0.0
+
+    def apply(moving: bool) -> float:
+        nonlocal s_b, s_c
+        distance = side * (x[n] - plane)
+        delta = radius - distance
+        if delta <= 0.0:
+            s_b = s_c = 0.0
+            return -delta
+        if distance <= 0.0:
+            raise RunError(_through(who), PASSED_THROUGH)
+        f_n = law(delta, -side * v[n])
+        force[n] += side * f_n
+        if mu == 0.0:
+            return -delta
+        # velocity of the contact point, v + spin x (-arm n); LIGGGHTS puts it half-way into the overlap
+        arm = side * (radius - 0.5 * delta)
+        if moving:
+            s_b += (v[b] - arm * spin[c]) * dt
+            s_c += (v[c] + arm * spin[b]) * dt
+        k_t = spring(delta)
+        length, limit = k_t * sqrt(s_b * s_b + s_c * s_c), mu * abs(f_n)
+        if length > limit:
+            s_b *= limit / length
+            s_c *= limit / length
+        f_b, f_c = -k_t * s_b, -k_t * s_c
+        force[b] += f_b
+        force[c] += f_c
+        torque[b] += arm * f_c
+        torque[c] -= arm * f_b
+        return -delta
+
+    return apply
+
+
+def _pair_contact(model: Model, contact: PairContact, motion: _Motion, i: int, j: int) -> _Apply:
+    x, v, force, torque = motion.x, motion.v, motion.force, motion.torque
+    first, second = model.scene.particles[i], model.scene.particles[j]
+    r_i, r_j = float(first.radius), float(second.radius)
+    r_sum, nearest = r_i + r_j, max(r_i, r_j)
+    i0, i1, i2, j0, j1, j2 = 3 * i, 3 * i + 1, 3 * i + 2, 3 * j, 3 * j + 1, 3 * j + 2
+    law, mu, friction = normal_force(contact), contact.friction, _PairFriction(contact, motion, i, j)
+    who = f"{first.name}–{second.name}"
+
+    def apply(moving: bool) -> float:
+        d_0, d_1, d_2 = x[i0] - x[j0], x[i1] - x[j1], x[i2] - x[j2]
+        distance = sqrt(d_0 * d_0 + d_1 * d_1 + d_2 * d_2)
+        delta = r_sum - distance
+        if delta <= 0.0:
+            friction.forget()
+            return -delta
+        if distance <= nearest:
+            raise RunError(_through(who), PASSED_THROUGH)
+        n_0, n_1, n_2 = d_0 / distance, d_1 / distance, d_2 / distance
+        v_0, v_1, v_2 = v[i0] - v[j0], v[i1] - v[j1], v[i2] - v[j2]
+        v_n = v_0 * n_0 + v_1 * n_1 + v_2 * n_2
+        f_n = law(delta, -v_n)
+        f_0, f_1, f_2 = f_n * n_0, f_n * n_1, f_n * n_2
+        if mu > 0.0:
+            arm_i, arm_j = r_i - 0.5 * delta, r_j - 0.5 * delta
+            if moving:
+                v_t = (v_0 - v_n * n_0, v_1 - v_n * n_1, v_2 - v_n * n_2)
+                friction.shear((n_0, n_1, n_2), v_t, arm_i, arm_j)
+            t_0, t_1, t_2 = friction.pull(delta, mu * abs(f_n))
+            f_0, f_1, f_2 = f_0 + t_0, f_1 + t_1, f_2 + t_2
+            m_0, m_1, m_2 = n_1 * t_2 - n_2 * t_1, n_2 * t_0 - n_0 * t_2, n_0 * t_1 - n_1 * t_0
+            for k, arm in ((i0, arm_i), (j0, arm_j)):
+                torque[k] -= arm * m_0
+                torque[k + 1] -= arm * m_1
+                torque[k + 2] -= arm * m_2
+        force[i0] += f_0
+        force[i1] += f_1
+        force[i2] += f_2
+        force[j0] -= f_0
+        force[j1] -= f_1
+        force[j2] -= f_2
+        return -delta
+
+    return apply
+
+
+class _PairFriction:
+    """The tangential spring of a pair, kept in the tangent plane."""
+
+    def __init__(self, contact: PairContact, motion: _Motion, i: int, j: int) -> None:
+        self.spin, self.i, self.j, self.dt = motion.spin, 3 * i, 3 * j, motion.dt
+        self.stiffness = _spring(contact)
+        self.forget()
+
+    def forget(self) -> None:
+        self.s = (0.0, 0.0, 0.0)
+
+    def shear(self, n: _Vector, v_t: _Vector, arm_i: float, arm_j: float) -> None:
+        """Stretch by the velocity of the contact point, v_t - (arm_i spin_i + arm_j spin_j) x n."""
+        spin, i, j, dt = self.spin, self.i, self.j, self.dt
+        w_0 = arm_i * spin[i] + arm_j * spin[j]
+        w_1 = arm_i * spin[i + 1] + arm_j * spin[j + 1]
+        w_2 = arm_i * spin[i + 2] + arm_j * spin[j + 2]
+        s_0 = self.s[0] + dt * (v_t[0] - (w_1 * n[2] - w_2 * n[1]))
+        s_1 = self.s[1] + dt * (v_t[1] - (w_2 * n[0] - w_0 * n[2]))
+        s_2 = self.s[2] + dt * (v_t[2] - (w_0 * n[1] - w_1 * n[0]))
+        along = s_0 * n[0] + s_1 * n[1] + s_2 * n[2]
+        self.s = (s_0 - along * n[0], s_1 - along * n[1], s_2 - along * n[2])
+
+    def pull(self, delta: float, limit: float) -> _Vector:
+        """Force on the first body [N]; the spring slips back to the Coulomb limit."""
+        k_t, (s_0, s_1, s_2) = self.stiffness(delta), self.s
+        length = k_t * sqrt(s_0 * s_0 + s_1 * s_1 + s_2 * s_2)
+        if length > limit:
+            cut = limit / length
+            s_0, s_1, s_2 = self.s = (s_0 * cut, s_1 * cut, s_2 * cut)
+        return -k_t * s_0, -k_t * s_1, -k_t * s_2
+
+
+def _through(who: str) -> str:
+    return (
+        f"{who}: the overlap reached the radius, the particle went through: expected a stiffer contact "
+        "for this impact, or a smaller time step"
+    )
+
+
+def _stride_limits(model: Model, motion: _Motion) -> list[Callable[[], int]]:
+    """For every pair a function: how many whole steps surely pass before it touches, in free flight."""
+    x, v, scene = motion.x, motion.v, model.scene
+    index = {p.name: i for i, p in enumerate(scene.particles)}
+
+    def whole(time: float) -> int:
+        return model.n_steps if time == math.inf else math.floor(time / model.dt) - _STRIDE_MARGIN
+
+    def wall_limit(i: int, radius: float, wall: Wall) -> Callable[[], int]:
+        axis = AXES.index(wall.axis)
+        n, plane = 3 * i + axis, float(wall.position)
+        side = 1.0 if x[n] > plane else -1.0
+        pull = side * scene.gravity[axis]
+        return lambda: whole(wall_touch_time(side * (x[n] - plane) - radius, side * v[n], pull))
+
+    def pair_limit(i: int, j: int, r_sum: float) -> Callable[[], int]:
+        a, b = 3 * i, 3 * j
+
+        def limit() -> int:
+            d = (x[a] - x[b], x[a + 1] - x[b + 1], x[a + 2] - x[b + 2])
+            w = (v[a] - v[b], v[a + 1] - v[b + 1], v[a + 2] - v[b + 2])
+            return whole(pair_touch_time(d, w, r_sum))
+
+        return limit
+
+    limits = []
+    for p, other in scene.body_pairs():
+        if isinstance(other, Wall):
+            limits.append(wall_limit(index[p.name], p.radius, other))
+        else:
+            limits.append(pair_limit(index[p.name], index[other.name], p.radius + other.radius))
+    return limits

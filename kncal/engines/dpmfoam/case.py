@@ -1,0 +1,294 @@
+"""A gas set-up as a case folder of OpenFOAM v1912 (DPMFoam): dictionaries, start fields, mesh.
+
+The patch ``inlet`` is where gas enters: the whole floor, or the slot of a jet (the rest of the floor is then the
+patch ``floor``). ``outlet`` is the top. Cells are counted as `kncal.engines.dpmfoam.grid.Grid.labels` says.
+"""
+
+from __future__ import annotations
+
+import shutil
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+from kncal.core.checks import Array, in_range, one_of, positive
+from kncal.core.disk import blame
+from kncal.core.errors import InputError, ReadError, RenderError, RunError, SolverMissingError
+from kncal.core.process import ProcessResult, run_process, solver_environment
+from kncal.core.shipped import folder as shipped_folder
+from kncal.core.templating import render
+from kncal.engines.coupling import GasSetup
+from kncal.engines.dpmfoam.decomposed import CWD, divisions
+from kncal.engines.dpmfoam.grid import Grid
+from kncal.record.openfoam import fatal_error, read_cells, refuse_code, set_patch_vector
+from kncal.scene.bed_scene import DEPTHS, DRAGS, PARCELS
+
+SOLVER, MESHER = "DPMFoam", "blockMesh"
+INLET, OUTLET = "inlet", "outlet"
+#: The gas state between two steps: files of ``0/`` (binary). Nothing else is carried on.
+STATE = ("U.air", "p", "phi.air")
+#: Largest solid fraction of a cell; a fuller one would lose volume (seen in `GasStep.solids_error`).
+SOLIDS_MAX = 0.9
+WALLS = ("slip", "noSlip")
+
+_FILES = (
+    "system/blockMeshDict",
+    "system/controlDict",
+    "system/fvSchemes",
+    "system/fvSolution",
+    "constant/g",
+    "constant/transportProperties",
+    "constant/turbulenceProperties.air",
+    "constant/kinematicCloudProperties",
+    "0/U.air",
+    "0/p",
+    "0/alpha.air",
+    "0/alpha.air_0",
+    "Allrun",
+)
+_DECOMPOSITION = "system/decomposeParDict"
+_MESH_LIMIT = 600.0  # s
+
+Corner = Callable[[int, int, int], int]
+
+
+def write_case(
+    setup: GasSetup,
+    folder: Path,
+    *,
+    end_time: float,
+    write_interval: int = 1,
+    functions: str | None = None,
+    ranks: int = 1,
+    oversubscribe: bool = False,
+) -> None:
+    """Write the case of ``setup`` into ``folder`` (made if missing); it has no mesh yet: see `make_mesh`.
+
+    Parameters
+    ----------
+    setup : GasSetup
+    folder : Path
+    end_time : float
+        The solver runs from 0 to here in steps of ``setup.step`` [s].
+    write_interval : int
+        Steps between written time folders.
+    functions : str, optional
+        Text of further entries of ``system/controlDict`` (``libs``, ``functions``), made by kncal, pasted as it is.
+    ranks : int
+        With more than one, ``system/decomposeParDict`` is written, and ``Allrun`` cuts the case up for that many.
+    oversubscribe : bool
+        Whether ``Allrun`` allows more ranks than cores.
+
+    Raises
+    ------
+    InputError
+        If a number or a name of the set-up cannot be; nothing is written.
+    RenderError
+        If ``folder`` already holds a case, or is not a folder.
+    """
+    check_setup(setup)
+    if folder.is_symlink() or (folder.exists() and not folder.is_dir()) or (folder / "system").exists():
+        raise RenderError(f"{folder}: expected an empty folder for the gas case (or none yet), it holds something else")
+    templates = shipped_folder("templates") / "openfoam"
+    context = case_context(setup) | {"end_time": end_time, "write_interval": write_interval, "functions": functions}
+    context |= {"ranks": ranks, "divisions": list(divisions(setup.cells, ranks)), "oversubscribe": oversubscribe}
+    texts = {}
+    for name in (*_FILES, _DECOMPOSITION) if ranks > 1 else _FILES:
+        template = "0/alpha.air" if name == "0/alpha.air_0" else name
+        texts[name] = render(templates, f"{template}.j2", context | {"field": name.rpartition("/")[2]})
+    for name, text in texts.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="ascii")
+    (folder / "Allrun").chmod(0o755)
+    (folder / "case.foam").touch()  # what ParaView opens
+
+
+def make_mesh(folder: Path) -> float:
+    """Run blockMesh in a case folder; return its CPU time [s].
+
+    Raises
+    ------
+    SolverMissingError
+        If OpenFOAM is not installed.
+    RunError
+        If blockMesh fails; with its own error text.
+    """
+    log = folder / f"log.{MESHER}"
+    result = run_process([MESHER], cwd=folder, log=log, env=case_environment(folder), timeout=_MESH_LIMIT)
+    if result.status == "interrupted":
+        raise KeyboardInterrupt
+    if result.status != "exited" or result.returncode != 0:
+        raise process_error(MESHER, result, log)
+    return result.cpu_seconds
+
+
+def case_environment(folder: Path) -> dict[str, str]:
+    """Return the environment of a solver that runs in ``folder``; without its PWD OpenFOAM warns at each start.
+
+    OpenFOAM takes its own name for the folder from PWD and refuses one with spaces or quotes; such a folder gets the
+    name that Linux has for the working folder of any process.
+    """
+    here = str(folder.absolute())
+    awkward = any(sign.isspace() or sign in "\"'" for sign in here)
+    return {**solver_environment(), "PWD": CWD if awkward else here}
+
+
+def set_case_inlet(setup: GasSetup, folder: Path, velocity: float) -> None:
+    """Write the velocity at the inlet [m/s] into the start fields of a case (superficial; of a jet: in its slot)."""
+    entry = "inletVelocity" if setup.jet is None else "value"
+    set_patch_vector(folder / "0" / "U.air", INLET, entry, (0.0, 0.0, velocity))
+
+
+def install_state(state: Path, folder: Path, cells: int) -> Array:
+    """Copy a saved gas state (`STATE`) into the start fields of a case; return its velocity (cells, 3) [m/s].
+
+    Raises
+    ------
+    ReadError
+        If the state is not complete, or not that of a mesh with this number of cells; nothing is copied.
+    """
+    if missing := [name for name in STATE if not (state / name).is_file()]:
+        raise ReadError(f"{state}: no {', '.join(missing)}; expected a saved gas state: {', '.join(STATE)}")
+    U = read_cells(state / "U.air", cells)
+    read_cells(state / "p", cells)
+    for name in STATE:
+        refuse_code(state / name)  # a run folder may come from a stranger, and the solver obeys what is in it
+    for name in STATE:
+        shutil.copyfile(state / name, folder / "0" / name)
+    return U
+
+
+def process_error(program: str, result: ProcessResult, log: Path) -> RunError:
+    """Return the error that says why an OpenFOAM program did not end as it should, with its own words."""
+    if result.status == "not_installed":
+        return SolverMissingError(f"{program} is not installed (no such program on PATH): apt-get install openfoam")
+    if result.status == "timed_out":
+        if result.stopped:
+            text = (
+                f"{program} was stopped from outside (SIGSTOP, or a debugger) and did not go on within its time limit"
+            )
+            return RunError(f"{text}; kncal has ended it; log: {log}", "peer-stopped")
+        return RunError(f"{program} did not end within its time limit and was ended; see {log}", "peer-died")
+    if result.status == "interrupted":
+        return RunError(f"{program} was interrupted; see {log}")
+    words = fatal_error(log) or " / ".join(line for line in result.last_lines[-3:] if line)
+    how = f"signal {result.signal}" if result.signal is not None else f"exit code {result.returncode}"
+    failure = "solver-error" if result.signal is None else "peer-died"
+    if result.signal == signal.SIGFPE or "sigFpe" in words:
+        how += " (floating-point exception: the gas flow diverged; try a shorter gas step)"
+        failure = "not-finite"
+    failure, text = blame(failure, f"{program} failed, {how}: {words or 'no message'}; see {log}", log.parent)
+    return RunError(text, failure)
+
+
+def check_setup(setup: GasSetup) -> None:
+    """Refuse a set-up that no case can be written for.
+
+    Raises
+    ------
+    InputError
+        Naming the entry, its value and what is expected.
+    """
+    if any(isinstance(n, bool) or not isinstance(n, int) or n < 1 for n in setup.cells):
+        raise InputError(f"cells = {setup.cells!r}: expected three whole numbers, at least 1")
+    positive("size", setup.size, unit="m")
+    positive("density", setup.density, unit="kg/m³")
+    positive("viscosity", setup.viscosity, unit="Pa s")
+    positive("step", setup.step, unit="s")
+    in_range("gravity", setup.gravity, 0.0, 1e3, unit="m/s²", hint="it points down, give its size")
+    in_range("inlet", setup.inlet, 0.0, 1e3, unit="m/s")
+    one_of("drag", setup.drag, DRAGS)
+    one_of("walls", setup.walls, WALLS)
+    one_of("front_back", setup.front_back, DEPTHS)
+    if setup.parcels_per_particle not in PARCELS:
+        raise InputError(f"parcels_per_particle = {setup.parcels_per_particle!r}: expected one of {PARCELS}")
+    if setup.jet is not None:
+        in_range("jet velocity", setup.jet.velocity, 0.0, 1e3, unit="m/s")
+        if setup.inlet != 0.0:
+            raise InputError(f"inlet = {setup.inlet:g}: with a jet no gas enters elsewhere; expected inlet = 0")
+    Grid(setup)
+
+
+def case_context(setup: GasSetup) -> dict[str, object]:
+    """Return what the templates need of a set-up, as plain numbers, names, lists and dicts."""
+    grid = Grid(setup)
+    planes = [float(i) * setup.size[0] / setup.cells[0] for i in grid.splits]
+    planes[-1] = setup.size[0]
+    _, depth, height = setup.size
+    count = len(planes)
+
+    def corner(i: int, j: int, k: int) -> int:
+        return i + count * (j + 2 * k)
+
+    blocks = [
+        {
+            "corners": [corner(i + a, j, k) for k in (0, 1) for j, a in ((0, 0), (0, 1), (1, 1), (1, 0))],
+            "cells": [int(grid.splits[i + 1] - grid.splits[i]), setup.cells[1], setup.cells[2]],
+        }
+        for i in range(count - 1)
+    ]
+    return {
+        "size": list(setup.size),
+        "vertices": [[x, y, z] for z in (0.0, height) for y in (0.0, depth) for x in planes],
+        "blocks": blocks,
+        "patches": _patches(setup, grid, corner),
+        "jet": setup.jet is not None,
+        "inlet": inlet_velocity(setup),
+        "start": start_velocity(setup),
+        "walls": setup.walls,
+        "density": setup.density,
+        "nu": setup.viscosity / setup.density,
+        "gravity": [0.0, 0.0, -setup.gravity],
+        "step": setup.step,
+        "drag": setup.drag,
+        "solids_max": SOLIDS_MAX,
+    }
+
+
+def inlet_velocity(setup: GasSetup) -> float:
+    """Return the superficial velocity through the patch ``inlet`` [m/s]."""
+    return setup.inlet if setup.jet is None else setup.jet.velocity
+
+
+def start_velocity(setup: GasSetup) -> float:
+    """Return the upward gas velocity everywhere at the start [m/s]: the inlet's, 0 with a jet."""
+    return setup.inlet
+
+
+def _patches(setup: GasSetup, grid: Grid, corner: Corner) -> list[dict[str, object]]:
+    """Name, type, role, faces of each patch. Roles: inlet, outlet, wall, coupled (conditions named as the type)."""
+    columns = range(len(grid.splits) - 1)
+
+    def level(i: int, k: int) -> list[int]:
+        return [corner(i, 0, k), corner(i + 1, 0, k), corner(i + 1, 1, k), corner(i, 1, k)]
+
+    def side(i: int) -> list[int]:
+        return [corner(i, 0, 0), corner(i, 1, 0), corner(i, 1, 1), corner(i, 0, 1)]
+
+    def plane(i: int, j: int) -> list[int]:
+        return [corner(i, j, 0), corner(i + 1, j, 0), corner(i + 1, j, 1), corner(i, j, 1)]
+
+    entry = [i for i in columns if grid.slot is None or i == grid.slot]
+    rest = [level(i, 0) for i in columns if i not in entry]
+    front, back = ([plane(i, j) for i in columns] for j in (0, 1))
+    walls = [side(0), side(len(grid.splits) - 1)]
+    if setup.front_back == "walls":
+        walls += front + back
+    patches = [
+        _patch(INLET, "patch", "inlet", [level(i, 0) for i in entry]),
+        _patch(OUTLET, "patch", "outlet", [level(i, 1) for i in columns]),
+        _patch("walls", "wall", "wall", walls),
+    ]
+    if rest:
+        patches.append(_patch("floor", "wall", "wall", rest))
+    if setup.front_back == "periodic":
+        patches.append(_patch("front", "cyclic", "coupled", front, neighbour="back"))
+        patches.append(_patch("back", "cyclic", "coupled", back, neighbour="front"))
+    elif setup.front_back == "layer":
+        patches.append(_patch("front_back", "empty", "coupled", front + back))
+    return patches
+
+
+def _patch(name: str, kind: str, role: str, faces: list[list[int]], neighbour: str = "") -> dict[str, object]:
+    return {"name": name, "type": kind, "role": role, "faces": faces, "neighbour": neighbour}

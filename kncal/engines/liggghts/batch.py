@@ -1,0 +1,198 @@
+"""The engine LIGGGHTS: renders a deck from a model, runs it as a child process, reads its frames."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+
+from kncal.core.checks import one_of
+from kncal.core.errors import RunError, failure_of
+from kncal.core.mpi import MISSING as NO_MPIRUN
+from kncal.core.mpi import MPIRUN, check_ranks, mpi_command, mpi_environment, run_ranks
+from kncal.core.process import run_process, solver_environment
+from kncal.core.scratch import scratch
+from kncal.core.shipped import folder as shipped_folder
+from kncal.core.templating import render
+from kncal.engines.base import FRAMES, Profile, Progress, RunResult, read_frames, run_result
+from kncal.engines.liggghts.deck import deck_context
+from kncal.engines.liggghts.diagnose import Diagnosis, diagnose_liggghts
+from kncal.engines.tunnelling import PASSED_THROUGH, passages
+from kncal.record.frames import Trajectory
+from kncal.record.liggghts_log import END_MARKER, step_of_line
+from kncal.scene.model import Model
+
+PROGRAM = "liggghts"
+DECK, SCRIPT, LOG = "in.liggghts", "Allrun", "log.liggghts"
+#: The version whose force laws, log and dumps kncal knows.
+VERSION = "3.8.0"
+LINEAR_STYLES = ("hooke/stiffness", "hooke")
+#: Line-buffered: the text of some errors would be lost otherwise. The runner writes the log.
+_COMMAND = ("stdbuf", "-oL", PROGRAM, "-in", DECK, "-log", "none")
+_MISSING = "LIGGGHTS is not installed ({what}): apt-get install liggghts, or use the builtin engine"
+_VERSION = re.compile(r"Version LIGGGHTS-PUBLIC ([0-9][0-9A-Za-z.]*)")
+_BANNER_TIME, _BANNER_SIZE = 10.0, 1 << 16  # [s], [bytes]
+
+
+class Liggghts:
+    """LIGGGHTS-PUBLIC 3.8.0 as packaged by Debian.
+
+    Parameters
+    ----------
+    linear_style : str
+        How a linear model is written: "hooke/stiffness" takes any k_n and eta_n; "hooke" lets LIGGGHTS find
+        k_n by strain energy at the impact speed (only for cases with that method).
+    ranks : int
+        Processes that share one run, each a part of the box; the frames are the same.
+    oversubscribe : bool
+        Allow more ranks than cores.
+
+    Raises
+    ------
+    InputError
+        For another style, or a number of ranks that `kncal.core.mpi.check_ranks` refuses.
+    """
+
+    def __init__(self, linear_style: str = "hooke/stiffness", *, ranks: int = 1, oversubscribe: bool = False) -> None:
+        self.linear_style = one_of("linear_style", linear_style, LINEAR_STYLES)
+        self.ranks = check_ranks(ranks, oversubscribe=oversubscribe)
+        self._oversubscribe = oversubscribe
+        #: as `kncal.runs.workflow.get_engine` takes it
+        self.name = "liggghts" if linear_style == "hooke/stiffness" else "liggghts-hooke"
+
+    def profile(self) -> Profile:
+        """Look for the solver on this machine; starts it once to learn its version."""
+        program = _find(PROGRAM)
+        if program is None or _find("stdbuf") is None:
+            what = "no program " + repr(PROGRAM if program is None else "stdbuf") + " on PATH"
+            return Profile(engine=self.name, program=None, version="", problem=_MISSING.format(what=what))
+        version, problem = _version(program)
+        if self.ranks > 1 and _find(MPIRUN) is None:
+            version, problem = "", NO_MPIRUN
+        warning = f"{program} is LIGGGHTS {version}; kncal knows {VERSION}: look at the results twice"
+        return Profile(
+            engine=self.name,
+            program=program if version else None,
+            version=version,
+            problem=problem,
+            warning=warning if version and version != VERSION else "",
+            environment=mpi_environment(solver_environment(), self.ranks),
+        )
+
+    def command(self, model: Model) -> tuple[str, ...]:
+        """Return the command that `run` starts in the run's folder; it is the same for every model."""
+        del model
+        return mpi_command(_COMMAND, self.ranks, oversubscribe=self._oversubscribe)
+
+    def render(self, model: Model, folder: Path) -> None:
+        """Write ``in.liggghts`` and ``Allrun`` into ``folder``.
+
+        Raises
+        ------
+        RenderError
+            If LIGGGHTS cannot simulate the model, or would do it wrongly without a word; nothing is written.
+        """
+        templates = shipped_folder("templates") / "liggghts"
+        context = deck_context(model, self.linear_style) | {"end_marker": END_MARKER}
+        context |= {"ranks": self.ranks, "oversubscribe": self._oversubscribe}
+        texts = {name: render(templates, f"{name}.j2", context) for name in (DECK, SCRIPT)}
+        for name, text in texts.items():
+            (folder / name).write_text(text, encoding="ascii")
+        (folder / SCRIPT).chmod(0o755)
+
+    def run(
+        self,
+        model: Model,
+        folder: Path,
+        *,
+        timeout: float | None = None,
+        progress: Progress | None = None,
+        pass_fds: Sequence[int] = (),
+    ) -> RunResult:
+        """Run the deck in ``folder``; never raises for a failed run, the status says so."""
+        profile = self.profile()
+        log = folder / LOG
+        if profile.program is None:
+            return run_result(self.name, model, folder, "not_installed", message=profile.problem)
+
+        def on_line(line: str) -> None:
+            step = step_of_line(line)
+            if progress is not None and step is not None:
+                progress(step, model.n_steps)
+
+        try:
+            (folder / FRAMES).unlink(missing_ok=True)
+            process = run_ranks(
+                _COMMAND,
+                self.ranks,
+                oversubscribe=self._oversubscribe,
+                cwd=folder,
+                log=log,
+                env=profile.environment,
+                timeout=timeout,
+                on_line=on_line,
+                pass_fds=pass_fds,
+            )
+        except (RunError, OSError) as error:
+            return run_result(
+                self.name,
+                model,
+                folder,
+                "failed",
+                message=str(error),
+                failure=failure_of(error),
+                version=profile.version,
+            )
+        problem = diagnose_liggghts(process, log, folder / FRAMES, model.n_steps, len(model.scene.particles))
+        status = process.status
+        if problem is None and (through := passages(model, self.read(model, folder))):
+            problem = Diagnosis(code=PASSED_THROUGH, message=through[0])
+        if status == "exited":
+            status = "completed" if problem is None else "failed"
+        return run_result(
+            self.name,
+            model,
+            folder,
+            status,
+            cpu_seconds=process.cpu_seconds,
+            wall_seconds=process.wall_seconds,
+            version=profile.version,
+            returncode=process.returncode,
+            message="" if problem is None else problem.message,
+            failure=problem.code if problem is not None and status == "failed" else "",
+            log=log,
+        )
+
+    def read(self, model: Model, folder: Path) -> Trajectory:
+        """Read the recorded frames of a completed run; see `read_frames`."""
+        return read_frames(model, folder)
+
+
+def _find(program: str) -> Path | None:
+    found = shutil.which(program)
+    return None if found is None else Path(found)
+
+
+@lru_cache(maxsize=8)
+def _version(program: Path) -> tuple[str, str]:
+    """Return the version that the program's banner names, and why there is none; asked once per program."""
+    try:
+        with scratch() as folder:
+            # Without a log and with an empty deck it prints its banner and ends.
+            process = run_process(
+                (str(program), "-log", "none"), cwd=folder, log=folder / "banner", timeout=_BANNER_TIME
+            )
+            with (folder / "banner").open("rb") as file:
+                text = file.read(_BANNER_SIZE).decode(errors="replace")
+    except (RunError, OSError) as error:
+        return "", f"{program} cannot be asked for its version: {error}"
+    if process.status == "interrupted":
+        raise KeyboardInterrupt
+    if match := _VERSION.search(text):
+        return match.group(1), ""
+    if process.status == "timed_out":
+        return "", f"{program} did not name its version within {_BANNER_TIME:g} s"
+    said = " | ".join(process.last_lines[-3:]) or "nothing"
+    return "", f"{program} does not say that it is LIGGGHTS-PUBLIC, or which version; it said: {said}"

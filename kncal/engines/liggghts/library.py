@@ -1,0 +1,389 @@
+"""The particles at work: LIGGGHTS in a child process, which may end at any time without harm to this one.
+
+A socket pair carries small messages, a mapping of anonymous memory the arrays; both are inherited, so nothing has a
+name, and nothing is left when either side is gone. No wait is without a limit.
+"""
+
+from __future__ import annotations
+
+import json
+import mmap
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from kncal.core.awake import awake
+from kncal.core.checks import Array
+from kncal.core.disk import blame
+from kncal.core.errors import InputError, RunError, SolverMissingError
+from kncal.core.process import solver_environment
+from kncal.core.scratch import held_scratch
+from kncal.core.solver_process import receive, silent
+from kncal.core.stopping import shielded_start
+from kncal.core.text import decode_line
+from kncal.engines.coupling import DemStep
+from kncal.engines.liggghts.bed_deck import DECK, RESTART, as_rows, middle, sides, write_deck
+from kncal.engines.liggghts.impacts import speed_edges
+from kncal.engines.liggghts.library_child import LIBRARY, MAX_MESSAGE, SAVED_FORCES, Shared, histogram_edges
+from kncal.scene.bed_model import BedModel
+
+LOG = "log.liggghts"
+#: What `LiggghtsDem.save` writes.
+SAVED = (RESTART, SAVED_FORCES)
+
+_START_LIMIT = 120.0  # s: deck, neighbour lists, and a machine that is busy with other things
+_RUN_LIMIT = 10.0  # s, of any run; and
+_STEP_LIMIT = 2e-5  # s per particle and step, a hundred times what one takes
+_SAVE_LIMIT = 300.0  # s, for slow disks
+_GRACE = 5.0  # s to end by itself
+_TAIL = 1 << 15  # bytes of the log that an error text is looked for in
+
+
+class LiggghtsDem:
+    """One bed in one LIGGGHTS (the `kncal.engines.coupling.Dem` protocol).
+
+    The child dies with the thread that made this object, also if that is killed. Use it from one thread.
+
+    Parameters
+    ----------
+    model : BedModel
+    folder : Path
+        The child's folder (made if missing): deck, particles, log.
+    positions : (n, 3) centres [m], row i is the particle with id i + 1; None with ``restart``
+    velocities : (n, 3) [m/s]; None: at rest
+    restart : Path, optional
+        A folder that `save` wrote: go on from there, with the contact history.
+    pass_fds : sequence of int
+        Open descriptors that the child inherits, e.g. the lock of the run folder.
+
+    Raises
+    ------
+    InputError
+        If positions are missing, outside the column, or off the plane of a layer.
+    RenderError
+        If LIGGGHTS cannot simulate the model.
+    RunError
+        If LIGGGHTS ends while it reads the deck; the text holds its own.
+    SolverMissingError
+        If its library is not installed.
+    """
+
+    def __init__(
+        self,
+        model: BedModel,
+        folder: Path,
+        positions: Array | None,
+        velocities: Array | None = None,
+        restart: Path | None = None,
+        *,
+        pass_fds: Sequence[int] = (),
+    ) -> None:
+        scene = model.scene
+        self.histogram_edges = histogram_edges(scene.particles.diameter)
+        self.impact_edges = speed_edges()
+        self._count = scene.particles.count
+        self._plane = middle(scene) if scene.column.front_back == "layer" else None
+        self._folder = folder
+        self._cpu = 0.0
+        self._step = 0
+        folder.mkdir(parents=True, exist_ok=True)
+        if restart is not None:
+            for name in SAVED:
+                _copy_saved(restart / name, folder / name)
+            write_deck(model, folder)
+        elif positions is not None:
+            x = as_rows("positions", positions, self._count)
+            v = None if velocities is None else as_rows("velocities", velocities, self._count)
+            _check_inside(model, x, v)
+            write_deck(model, folder, x, v)
+        else:
+            raise InputError("positions: None, expected (n, 3) centres, or a restart folder")
+        self._scratch = ExitStack()
+        self._session, holding = self._scratch.enter_context(held_scratch())
+        self._pass_fds = (*pass_fds, *holding)
+        self._channel, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        memory = os.memfd_create("kncal-particles", os.MFD_CLOEXEC)
+        try:
+            os.ftruncate(memory, Shared.size(self._count))
+            buffer = mmap.mmap(memory, Shared.size(self._count))
+            self._child: subprocess.Popen[bytes] | None = self._start(
+                model, theirs.fileno(), memory, restart is not None
+            )
+        except BaseException:
+            self._channel.close()
+            self._scratch.close()
+            raise
+        finally:
+            theirs.close()
+            os.close(memory)
+        self._shared: Shared | None = Shared.over(buffer, self._count)
+        self._take(self._receive(_START_LIMIT), None)
+
+    @property
+    def step(self) -> int:
+        """Number of the last step, counted from the start of the bed."""
+        return self._step
+
+    @property
+    def cpu_seconds(self) -> float:
+        """CPU time of the child so far [s]."""
+        return self._cpu
+
+    @property
+    def pid(self) -> int | None:
+        """Number of the child process, None after the end."""
+        return None if self._child is None else self._child.pid
+
+    def state(self) -> tuple[Array, Array]:
+        """Return positions [m] and velocities [m/s], both (n, 3), by id; periodic y within 0 ... depth."""
+        shared = self._open()
+        return shared.x.copy(), shared.v.copy()
+
+    def run(self, steps: int, force: Array) -> DemStep:
+        """Hold ``force`` (n, 3) [N] on the particles and run ``steps``.
+
+        Velocity Verlet opens the interval with half a kick of the last interval's force: half a step of lag. A layer
+        takes no force across its plane: that component is left out, and its plane is checked to the last bit.
+
+        Raises
+        ------
+        InputError
+            If ``steps`` is not positive, or the forces are not (n, 3) finite numbers.
+        RunError
+            If LIGGGHTS ends or hangs, loses particles, stops early, or computes what is not finite.
+        """
+        shared = self._open()
+        if steps < 1:
+            raise InputError(f"steps = {steps}: expected at least 1")
+        given = np.asarray(force, dtype=np.float64)
+        if given.shape != shared.force.shape or not np.isfinite(given).all():
+            raise InputError(f"force: shape {given.shape}, expected {shared.force.shape} finite numbers [N]")
+        shared.force[:] = given
+        if self._plane is not None:
+            shared.force[:, 1] = 0.0
+        answer = self._ask({"do": "run", "steps": steps}, _RUN_LIMIT + _STEP_LIMIT * steps * (self._count + 100), steps)
+        return DemStep(
+            floor_force=answer["floor"],
+            other_walls_force=answer["other_walls"],
+            contacts=answer["contacts"],
+            overlap_max=answer["overlap_max"],
+            overlap_mean=answer["overlap_mean"],
+            histogram=shared.histogram.copy(),
+            watched=answer["watched"],
+            impacts=shared.impacts.copy(),
+            impact_sums=shared.impact_sums.copy(),
+        )
+
+    def save(self, folder: Path) -> None:
+        """Write the state (contact history included) into ``folder``, made if missing: the files `SAVED`.
+
+        This run goes on from the very state that was written, so that a continued run repeats it bit by bit. A run that
+        was never saved differs at most by rounding, from particles brought back into a periodic box (1e-13 m after
+        40 couplings); without periodic sides it was found to be the same, too.
+        """
+        self._ask({"do": "save"}, _SAVE_LIMIT, 0)
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in SAVED:
+            shutil.move(self._folder / name, folder / name)
+
+    def close(self) -> None:
+        """End the child; leaves no process and no file descriptor behind. May be called twice."""
+        if self._child is None:
+            return
+        with suppress(OSError):  # it has gone already
+            self._channel.send(b'{"do": "close"}')
+        self._end(awake() + _GRACE)
+
+    def __enter__(self) -> LiggghtsDem:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _open(self) -> Shared:
+        if self._shared is None:
+            raise RunError(f"{self._folder}: LIGGGHTS has ended, nothing more can be asked of it; log: {self._log}")
+        return self._shared
+
+    @property
+    def _log(self) -> Path:
+        return self._folder / LOG
+
+    def _start(self, model: BedModel, channel: int, memory: int, restart: bool) -> subprocess.Popen[bytes]:
+        scene = model.scene
+        arguments = {
+            "socket": channel,
+            "memory": memory,
+            "count": self._count,
+            "deck": DECK,
+            "diameter": scene.particles.diameter,
+            "dt": model.dt,
+            "gravity": scene.gravity,
+            "plane": self._plane,
+            "period": scene.column.depth if scene.column.front_back == "periodic" else None,
+            "sides": sides(scene),
+            "saved": SAVED_FORCES if restart else "",
+        }
+        environment = solver_environment() | {
+            # The child imports what this process imports, and has a session folder of its own (see
+            # `kncal.core.process`).
+            "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
+            "OMPI_MCA_orte_tmpdir_base": str(self._session),
+        }
+        # As in `kncal.core.process`: it dies with us even while it computes.
+        setpriv = shutil.which("setpriv")
+        guard = [setpriv, "--pdeathsig", "KILL", "--"] if setpriv else []
+        flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND | os.O_NOFOLLOW | os.O_CLOEXEC
+        try:
+            log = os.open(self._log, flags, 0o644)
+        except OSError as error:
+            raise RunError(f"{self._log}: cannot be opened as the log ({error.strerror})") from error
+        try:
+            with shielded_start():
+                return subprocess.Popen(  # noqa: S603 - a list of arguments, no shell
+                    [*guard, sys.executable, "-P", "-m", "kncal.engines.liggghts.library_child", json.dumps(arguments)],
+                    cwd=self._folder,
+                    env=environment,
+                    stdin=subprocess.DEVNULL,
+                    stdout=log,
+                    stderr=subprocess.STDOUT,
+                    pass_fds=(channel, memory, *self._pass_fds),
+                    process_group=0,
+                )
+        except OSError as error:
+            raise RunError(f"{sys.executable}: cannot be started ({error})") from error
+        finally:
+            os.close(log)
+
+    def _ask(self, request: dict[str, Any], limit: float, steps: int) -> dict[str, Any]:
+        self._open()
+        with suppress(OSError):  # it has gone; receiving says so, with its text
+            self._channel.send(json.dumps(request).encode())
+        answer = self._receive(limit)
+        self._take(answer, steps)
+        return answer
+
+    def _receive(self, limit: float) -> dict[str, Any]:
+        """Return the next answer, within ``limit`` [s]; whatever else happens ends the child."""
+        try:
+            message = receive(self._channel, MAX_MESSAGE, limit)
+        except TimeoutError as late:
+            try:
+                raise silent("LIGGGHTS", self.pid or 0, limit, self._log) from late
+            finally:
+                self._end(0.0)
+        except ConnectionError:
+            message = b""
+        except BaseException:
+            self._end(0.0)
+            raise
+        if message:
+            answer: dict[str, Any] = json.loads(message)
+            return answer
+        code = self._end(awake() + _GRACE)
+        raise self._failure(code)
+
+    def _take(self, answer: dict[str, Any], steps: int | None) -> None:
+        """Book an answer; refuse a state that no one should go on with."""
+        shared = self._open()
+        self._cpu = answer["cpu"]
+        problem, failure = "", "solver-error"
+        if answer["count"] != self._count:
+            problem = f"{answer['count']} of {self._count} particles are left: some left the column"
+            failure = "lost-particles"
+        elif steps is not None and answer["step"] != self._step + steps:
+            problem = f"it stopped at step {answer['step']}, expected {self._step + steps}: was it sent a signal?"
+        elif not (np.isfinite(shared.x).all() and np.isfinite(shared.v).all()):
+            problem = "positions or velocities are not finite: do two particles start at one point, is dt too large?"
+            failure = "not-finite"
+        elif not answer["in_plane"]:
+            problem = f"particles move or spin out of the plane y = {self._plane!r} m of the layer"
+        self._step = answer["step"]
+        if problem:
+            self._end(0.0)
+            raise RunError(f"LIGGGHTS: {problem}; log: {self._log}", failure)
+
+    def _failure(self, code: int) -> RunError:
+        how = f"ended by signal {-code} ({_signal_name(-code)})" if code < 0 else f"ended with exit code {code}"
+        lines = _last_lines(self._log)
+        if any(LIBRARY in line and "cannot open" in line for line in lines):
+            return SolverMissingError(f"{LIBRARY} is not installed: apt-get install liggghts; log: {self._log}")
+        errors = [line for line in lines if line.startswith("ERROR")]
+        text = errors[0] if errors else " | ".join(lines[-3:]) or "(no output)"
+        failure = "peer-died" if code < 0 else "solver-error"
+        if "lost atoms" in text.lower():
+            text, failure = f"particles left the column (its counts mean nothing): {text}", "lost-particles"
+        failure, text = blame(failure, f"LIGGGHTS {how}: {text}; log: {self._log}", self._folder)
+        return RunError(text, failure)
+
+    def _end(self, deadline: float) -> int:
+        """Wait for the child's end until ``deadline``, then kill it; release everything. Return its exit code."""
+        child, self._child, self._shared = self._child, None, None
+        self._channel.close()
+        if child is None:
+            return 0
+        pause = 0.001
+        while os.waitid(os.P_PID, child.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
+            if awake() >= deadline:
+                break
+            time.sleep(pause)
+            pause = min(2.0 * pause, 0.05)
+        with suppress(ProcessLookupError):  # all of it has gone
+            os.killpg(child.pid, signal.SIGKILL)  # a zombie keeps the number, so this can hit no one else
+        _, status, usage = os.wait4(child.pid, 0)
+        child.returncode = os.waitstatus_to_exitcode(status)
+        self._cpu = usage.ru_utime + usage.ru_stime
+        self._scratch.close()
+        return child.returncode
+
+
+def _check_inside(model: BedModel, x: Array, v: Array | None) -> None:
+    column = model.scene.column
+    size = np.array([column.width, column.depth, column.height])
+    outside = np.flatnonzero(((x < 0.0) | (x > size)).any(axis=1))
+    if outside.size:
+        i = int(outside[0])
+        raise InputError(f"positions[{i}] = {x[i].tolist()}: expected a centre inside the column {size.tolist()} m")
+    if column.front_back == "layer":
+        y = middle(model.scene)
+        if (x[:, 1] != y).any():
+            raise InputError(f"positions: a layer lies in the plane y = depth/2 = {y!r} m, some are beside it")
+        if v is not None and v[:, 1].any():
+            raise InputError("velocities: a layer has none across its plane, expected vy = 0 for all")
+
+
+def _copy_saved(source: Path, target: Path) -> None:
+    try:
+        shutil.copyfile(source, target)
+    except OSError as error:
+        raise InputError(f"{source}: cannot be read ({error.strerror}); expected what `save` wrote") from error
+
+
+def _last_lines(log: Path) -> list[str]:
+    try:
+        with log.open("rb") as file:
+            file.seek(0, os.SEEK_END)
+            file.seek(max(0, file.tell() - _TAIL))
+            return [text for line in file.read().split(b"\n") if (text := decode_line(line))]
+    except OSError as error:
+        return [f"(the log cannot be read: {error.strerror})"]
+
+
+def _signal_name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return "unknown"

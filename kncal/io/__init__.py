@@ -1,1 +1,0 @@
-"""One reader or writer per file format."""

@@ -1,0 +1,299 @@
+"""The impact speeds that a run had, and the stiffness that its case's method gives at them.
+
+Three speeds stand for a distribution: the mean; the energy-weighted mean, sum v³/sum v², which is the speed at which
+the energy of the impacts arrives; and the 99th percentile, which the largest overlaps belong to. Each has a 95 %
+confidence interval: of a bed from its time series (`kncal.physics.statistics`), of single contacts none, since they
+are all there are.
+
+Sources: ratio estimators linearised, as in Cochran, Sampling Techniques (1977), section 6.3; interval of a percentile
+from that of the distribution function at it: Woodruff, J. Am. Stat. Assoc. 47 (1952) 635.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kncal.core.checks import Array
+from kncal.core.errors import InputError, ValidityError
+from kncal.observe.signals import rows_from
+from kncal.physics.calibration import calibrate
+from kncal.physics.material import Pair
+from kncal.physics.statistics import Average, average
+from kncal.record.series import BedSeries
+from kncal.scene.pair_contact import PairNumbers
+from kncal.scene.scene import ContactChoice
+
+if TYPE_CHECKING:
+    from kncal.observe.contacts import ContactEvent
+
+#: The three speeds, by the names that `contact.measured.statistic` takes.
+STATISTICS: Mapping[str, str] = {
+    "mean": "mean",
+    "energy_weighted": "energy-weighted mean",
+    "p99": "99th percentile",
+}
+#: Which impacts: of two particles, of a particle and a wall.
+KINDS_OF_IMPACTS = ("particles", "walls")
+#: Fewer impacts than this say too little of a mean; of the 99th percentile, a hundred times less the share above it.
+LEAST_IMPACTS, LEAST_FOR_P99 = 100, 1000
+_P99 = 0.99
+_WHO = {"particles": "two particles", "walls": "particle and wall", "all": "all contacts"}
+_COLOURS = ("#0072B2", "#D55E00")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Estimate:
+    """A number with its 95 % confidence interval ``low`` to ``high``; ``why`` it is not to be relied upon, or ""."""
+
+    value: float
+    low: float
+    high: float
+    why: str = ""
+
+    @property
+    def uncertainty(self) -> float:
+        """Half the width of the interval relative to the value; 0 for a value of 0."""
+        return 0.5 * (self.high - self.low) / self.value if self.value else 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImpactSpeeds:
+    """The impact speeds of one kind of contacts.
+
+    Attributes
+    ----------
+    kind : one of `KINDS_OF_IMPACTS`, or "all"
+    count : number of impacts that were seen
+    speeds : name of `STATISTICS` -> Estimate [m/s]; empty without impacts
+    edges : (bins + 1,) [m/s]; counts : (bins,) of the histogram
+    """
+
+    kind: str
+    count: int
+    speeds: Mapping[str, Estimate]
+    edges: Array
+    counts: Array
+
+    def quantiles(self, shares: Array) -> Array:
+        """Return the speeds [m/s] that these ``shares`` of all impacts do not exceed, of the shape of ``shares``."""
+        return histogram_quantiles(self.edges, self.counts, shares)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything, ready for JSON."""
+        speeds = {name: asdict(estimate) for name, estimate in self.speeds.items()}
+        histogram = {"edges": self.edges.tolist(), "counts": self.counts.tolist()}
+        return {"kind": self.kind, "count": self.count, "speeds": speeds, "histogram": histogram}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Enduring:
+    """Contacts between particles that no impact speed describes.
+
+    Attributes
+    ----------
+    duration : mean duration of a contact over the duration of an impact t_c [-]
+    share : least share of the contacts at any moment that are older than an impact lasts [-]
+    """
+
+    duration: float
+    share: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class StiffnessAt:
+    """Linear stiffness k_n [N/m] at one of the three speeds of a pair; None with a ``problem``."""
+
+    statistic: str
+    v_0: Estimate
+    k_n: Estimate | None
+    problem: str = ""
+
+
+def bed_impact_speeds(series: BedSeries, begin: float, doubt: str = "") -> dict[str, ImpactSpeeds]:
+    """Return the impact speeds of a bed from ``begin`` [s] on, by kind; ``doubt`` about the run goes to all of them.
+
+    Raises
+    ------
+    InputError
+        If the run has no record of them (particles that do not move, or the run of an earlier kncal).
+    """
+    if not series.facts.impact_edges:
+        raise InputError(
+            "impact speeds: not recorded (its particles do not move, or an earlier kncal ran it): expected a run of "
+            "moving particles; run the case again with --anew"
+        )
+    rows = rows_from(series, begin)
+    edges = np.array(series.facts.impact_edges)
+    found = {}
+    for k, kind in enumerate(KINDS_OF_IMPACTS):
+        counts, sums = series.impacts[rows, k].astype(np.float64), series.impact_sums[rows, k]
+        number = counts.sum(axis=1)
+        speeds = {}
+        if number.sum():
+            t = series.t[rows]
+            speeds = {
+                "mean": _ratio(t, sums[:, 0], number, int(number.sum())),
+                "energy_weighted": _ratio(t, sums[:, 2], sums[:, 1], int(number.sum())),
+                "p99": _percentile(t, counts, edges),
+            }
+        if doubt:
+            speeds = {name: replace(one, why="; ".join(filter(None, (doubt, one.why)))) for name, one in speeds.items()}
+        found[kind] = ImpactSpeeds(
+            kind=kind, count=int(number.sum()), speeds=speeds, edges=edges, counts=counts.sum(axis=0)
+        )
+    return found
+
+
+def contact_impact_speeds(contacts: Sequence[ContactEvent]) -> ImpactSpeeds:
+    """Return the impact speeds of a run of single contacts, of all pairs together.
+
+    Counted are contacts whose start was seen and began with an approach. The speeds are those of the run, not samples
+    of something: their intervals have no width.
+    """
+    v = np.array([contact.v_in for contact in contacts if contact.v_in > 0.0])
+    if not len(v):
+        return ImpactSpeeds(kind="all", count=0, speeds={}, edges=np.array([0.0, 1.0]), counts=np.zeros(1))
+    edges = np.concatenate(([0.0], np.geomspace(0.5 * v.min(), 2.0 * v.max(), 101)))
+    values = {"mean": v.mean(), "energy_weighted": (v**3).sum() / (v**2).sum(), "p99": np.quantile(v, _P99)}
+    speeds = {name: Estimate(value=float(x), low=float(x), high=float(x)) for name, x in values.items()}
+    return ImpactSpeeds(
+        kind="all", count=len(v), speeds=speeds, edges=edges, counts=np.histogram(v, edges)[0].astype(np.float64)
+    )
+
+
+def enduring(series: BedSeries, begin: float, t_c: float) -> Enduring | None:
+    """Return what of a bed's contacts from ``begin`` [s] on is not described by impacts of duration ``t_c`` [s].
+
+    Contacts begin at a rate r and N are there at a time, so they last N/r in the mean (Little's law). At most r t_c of
+    them are younger than t_c. None if no contact was seen.
+    """
+    rows = rows_from(series, begin)
+    new, watched = float(series.impacts[rows, 0].sum()), float(series.watched[rows].sum())
+    number = float(np.nanmean(series.contacts[rows])) if rows.any() else 0.0
+    if not new or not number > 0.0:
+        return None
+    young = new / watched * t_c / number
+    return Enduring(duration=1.0 / young, share=max(0.0, 1.0 - young))
+
+
+def stiffness_at(
+    speeds: ImpactSpeeds, contact: ContactChoice, both: Pair, numbers: PairNumbers
+) -> tuple[StiffnessAt, ...]:
+    """Return k_n by the case's method at each of the speeds; ``numbers`` of the pair: only e_n is used.
+
+    For a case that prescribes k_n: what its method would give in place of it.
+    """
+    rows = []
+    for name, speed in speeds.speeds.items():
+        try:
+            values = [
+                float(
+                    calibrate(
+                        both,
+                        v_0=v,
+                        e_n=numbers.e_n,
+                        law=contact.law,
+                        method=contact.method,
+                        end=contact.end,
+                        **contact.method_options,
+                    ).k_n
+                )
+                for v in (speed.value, speed.low, speed.high)
+            ]
+        except (ValidityError, InputError) as error:
+            rows.append(StiffnessAt(statistic=name, v_0=speed, k_n=None, problem=str(error)))
+            continue
+        k_n = Estimate(value=values[0], low=min(values), high=max(values), why=speed.why)
+        rows.append(StiffnessAt(statistic=name, v_0=speed, k_n=k_n))
+    return tuple(rows)
+
+
+def histogram_quantiles(edges: Array, counts: Array, shares: Array) -> Array:
+    """Return where the cumulative histogram reaches ``shares`` (any shape).
+
+    Within a bin the logarithm of the share above is linear, as in an exponential tail, which keeps high percentiles
+    right in wide bins; within the last that is filled, the share itself.
+    """
+    filled = counts > 0
+    cumulative = np.concatenate([[0.0], np.cumsum(counts[filled]) / counts.sum()])
+    last = int(filled.sum()) - 1
+    at = np.clip(np.searchsorted(cumulative, shares, side="left") - 1, 0, last)
+    low, high, begin, end = edges[:-1][filled][at], edges[1:][filled][at], cumulative[at], cumulative[at + 1]
+    linear = (shares - begin) / (end - begin)
+    inner = np.where(at < last, end, begin)  # no logarithm of 0
+    part = np.log((1.0 - np.minimum(shares, inner)) / (1.0 - begin)) / np.log(
+        np.where(at < last, (1.0 - inner) / (1.0 - begin), 0.5)
+    )
+    values: Array = low + (high - low) * np.where(at < last, part, linear)
+    return values
+
+
+def plot_impact_speeds(speeds: Mapping[str, ImpactSpeeds], path: Path, title: str = "") -> None:
+    """Draw the shares of impacts per decade of speed, with the three speeds, into a picture (.png or .svg).
+
+    A bin that begins at zero has no place on the logarithmic axis and is left out.
+
+    Raises
+    ------
+    InputError
+        If there was no impact, or the file is not of a kind that is drawn.
+    """
+    from kncal.report.plots import new_axes
+
+    shown = [found for found in speeds.values() if found.count]
+    if not shown:
+        raise InputError("impact speeds: there was no impact to draw")
+    if path.suffix not in (".png", ".svg"):
+        raise InputError(f"{path}: expected a picture name that ends in .png or .svg")
+    ax = new_axes(6.6, 5.0)
+    dashes = dict(zip(STATISTICS, (":", "-", "--"), strict=True))
+    for found, colour in zip(shown, _COLOURS, strict=False):
+        edges, counts = found.edges[1:], found.counts[1:]
+        used = np.flatnonzero(counts)
+        part = slice(max(int(used[0]) - 1, 0), int(used[-1]) + 2) if len(used) else slice(0, 1)
+        density = counts[part] / found.count / np.diff(np.log10(edges))[part]
+        label = f"{_WHO[found.kind]}, {found.count} impacts"
+        ax.stairs(density, edges[part.start : part.start + len(density) + 1], color=colour, label=label, fill=False)
+        for name, estimate in found.speeds.items():
+            told = f"{STATISTICS[name]} {estimate.value:.3g} m/s"
+            ax.axvline(estimate.value, color=colour, linestyle=dashes[name], linewidth=1.2, label=told)
+    ax.set_xscale("log")
+    ax.set_ylim(bottom=0.0)
+    ax.set_xlabel("impact speed v_0 [m/s]")
+    ax.set_ylabel("share of impacts per decade [–]")
+    ax.set_title(title, fontsize=10)
+    figure = ax.get_figure(root=True)
+    if figure is not None:
+        figure.legend(fontsize=8, loc="outside lower center", ncols=len(shown))
+        figure.savefig(path, dpi=130, metadata={"Software": None} if path.suffix == ".png" else {"Date": None})
+
+
+def _ratio(t: Array, above: Array, below: Array, count: int) -> Estimate:
+    """Return sum(above)/sum(below) and its interval, from the linearised ratio in every coupling."""
+    value = float(above.sum() / below.sum())
+    signal = value + (above - value * below) / below.mean()
+    found = average(t, signal, float(t[0]))
+    why = _doubts(found, count, LEAST_IMPACTS)
+    return Estimate(value=value, low=max(value - found.uncertainty, 0.0), high=value + found.uncertainty, why=why)
+
+
+def _percentile(t: Array, counts: Array, edges: Array) -> Estimate:
+    total = counts.sum(axis=0)
+    value = float(histogram_quantiles(edges, total, np.array(_P99)))
+    at = int(np.clip(np.searchsorted(edges, value, side="right") - 1, 0, len(total) - 1))
+    part = (_P99 * total.sum() - total[:at].sum()) / total[at]
+    below, number = counts[:, :at].sum(axis=1) + part * counts[:, at], counts.sum(axis=1)
+    found = average(t, (below - _P99 * number) / number.mean(), float(t[0]))
+    ends = np.clip([_P99 - found.uncertainty, _P99 + found.uncertainty], 0.0, 1.0)
+    low, high = histogram_quantiles(edges, total, ends)
+    return Estimate(value=value, low=float(low), high=float(high), why=_doubts(found, int(total.sum()), LEAST_FOR_P99))
+
+
+def _doubts(found: Average, count: int, least: int) -> str:
+    few = [f"only {count} impacts were seen, {least} are needed"] if count < least else []
+    return "; ".join([*few, found.why] if found.why else few)

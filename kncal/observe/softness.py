@@ -1,0 +1,276 @@
+"""What softness does to the physics: signs that a contact is too soft, each with its limit and where that is from.
+
+A sign tells of the run itself, whatever a tolerance says: a metric may agree by luck in a scene whose particles hang
+in each other.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from kncal.core.checks import Array
+from kncal.observe.bed_compare import BedRunData
+from kncal.observe.compare import RunData
+from kncal.observe.quantities import OVERLAP_LIMIT
+from kncal.physics.material import sphere_mass
+from kncal.physics.statistics import MIN_SAMPLES, average, difference, start_up
+from kncal.physics.validity import OVERLAP_DOUBTFUL
+from kncal.scene.bed_model import BedModel
+from kncal.scene.load import bottom_overlaps
+from kncal.scene.model import Model, PairContact
+from kncal.scene.scene import Particle
+from kncal.study.trade.base import Sign
+
+#: Speed over the speed of sound of a chain: at 0.1 densities vary by about 1 %.
+MACH_LIMIT = 0.1
+#: Contacts per particle against those of the reference.
+CONTACTS_LIMIT = 0.1
+#: Overlap under the weight above it, over the diameter: a bed is lower by half of that of its bottom.
+STATIC_LIMIT = OVERLAP_LIMIT
+
+_SMALL = "small-overlap theory of both models (kncal warns beyond it; MFIX reports overlaps above 0.2 R)"
+_CUSTOM = "customary bound on overlaps, 0.1 to 1 % of the diameter (after Lan & Rosato, Phys. Fluids 9 (1997) 3615)"
+_WALL = "a particle is through when its centre is: with 100 N/m they pass a cyclone's wall, with 1000 not (MFIX FAQ)"
+_SOUND = "sound ten times as fast as what moves keeps densities within 1 % (Monaghan, J. Comput. Phys. 110 (1994) 399)"
+_CONTACTS = "a convention of kncal: a tenth"
+
+
+def signs(data: RunData | BedRunData, reference: RunData | BedRunData | None = None) -> tuple[Sign, ...]:
+    """Return what softness did in a completed run; with the ``reference`` (of the same kind) also against it.
+
+    Raises
+    ------
+    InputError
+        If a bed ran too short for any average.
+    """
+    if isinstance(data, BedRunData):
+        return _bed(data, reference if isinstance(reference, BedRunData) else None)
+    return _contacts(data, reference.model if isinstance(reference, RunData) else None)
+
+
+def sound_speed(contact: PairContact, diameter: float, mass: float) -> float:
+    """Return the speed of long waves along a chain of equal particles [m/s]: d sqrt(k_n/m).
+
+    From omega = 2 sqrt(k/m) sin(q d/2) of masses and springs (Kittel, Introduction to Solid State Physics, chapter 4).
+    For Hertz k is the secant stiffness at the impact speed (`secant`).
+
+    Parameters
+    ----------
+    diameter : of a particle, the distance of two [m]; mass : of a particle [kg]
+    """
+    return diameter * math.sqrt(secant(contact) / mass)
+
+
+def secant(contact: PairContact) -> float:
+    """Return the stiffness of a contact [N/m]: k_n; for Hertz k_h sqrt(delta_max) at v_0, or that of the duration."""
+    if contact.n == 1.0:
+        return contact.k
+    if contact.delta_max is not None:
+        return float(contact.k * contact.delta_max ** (contact.n - 1.0))
+    return math.pi**2 * contact.m_eff / contact.t_c**2
+
+
+def model_signs(model: BedModel) -> tuple[Sign, ...]:
+    """Return the signs of a bed that need no run: the overlap under its weight, and the speed of sound."""
+    if not model.contacts:
+        return ()
+    scene = model.scene
+    d = scene.particles.diameter
+    return (_static(max(bottom_overlaps(model).values()) / d, "at the bottom of the bed at rest"), _bed_sound(model))
+
+
+# --- beds ---------------------------------------------------------------------
+
+
+def _bed(data: BedRunData, reference: BedRunData | None) -> tuple[Sign, ...]:
+    model, series = data.model, data.series
+    if not model.contacts or not np.isfinite(series.overlap_max).any():
+        return ()
+    d = series.facts.diameter
+    begin = start_up(series.z_mean)
+    largest = float(np.nanmax(series.overlap_max))
+    mean = float(np.nanmean(series.overlap_mean[begin:]))
+    found = [
+        _overlap_share(largest / (0.5 * d), "between two particles, of the whole run"),
+        _mean_overlap(mean / d),
+        _leaking(_beyond(series.x, series.facts.size, series.facts.front_back), largest / (0.5 * d)),
+        *model_signs(model),
+    ]
+    if reference is not None and np.isfinite(reference.series.contacts).any():
+        found.append(_contact_number(data, reference))
+        found[-2] = _bed_sound(model, reference.model)
+    return tuple(found)
+
+
+def _bed_sound(model: BedModel, reference: BedModel | None = None) -> Sign:
+    scene = model.scene
+    contact, d = _shortest(model.contacts), scene.particles.diameter
+    mass = float(sphere_mass(scene.particles.material, d / 2.0))
+    fastest = {"v_0": contact.v_0 or 0.0, "U_0": 0.0 if scene.gas is None else scene.gas.inlet_at(0.0)}
+    name = max(fastest, key=fastest.__getitem__)
+    other = None if reference is None else _shortest(reference.contacts)
+    return _sound(fastest[name], name, contact, d, mass, other)
+
+
+def _contact_number(data: BedRunData, reference: BedRunData) -> Sign:
+    """Contacts per particle against the reference: changed if the whole interval is beyond the limit."""
+    count = max(data.series.facts.count, 1)
+    found = []
+    for series in (data.series, reference.series):
+        begin = min(start_up(series.z_mean), max(len(series.t) - MIN_SAMPLES, 0))
+        found.append(average(series.t, 2.0 * series.contacts / count, float(series.t[begin])))
+    here, there = found
+    apart = difference(here, there)
+    relative = math.nan if apart.relative is None else apart.relative
+    width = (apart.relative_uncertainty or 0.0) * (1.0 if apart.reliable else 3.0)
+    changed = abs(relative) - width > CONTACTS_LIMIT
+    undecided = "" if changed or abs(relative) + width <= CONTACTS_LIMIT else "; undecided, the runs are short"
+    return Sign(
+        name="contact_number",
+        value=relative,
+        unit="–",
+        limit=CONTACTS_LIMIT,
+        source=_CONTACTS,
+        changed=changed,
+        text=(
+            f"{here.mean:.3g} contacts per particle, {there.mean:.3g} in the reference:"
+            f" {100.0 * relative:+.2g} ± {100.0 * width:.2g} %{undecided}."
+        ),
+    )
+
+
+def _beyond(x: Array | np.ndarray[tuple[int, ...], np.dtype[np.float32]], size: Iterable[float], depth: str) -> int:
+    """Count the centres, in all frames (frames, n, 3), that are beyond a wall of the box 0 … size."""
+    high = np.array(tuple(size))
+    outside = (x < 0.0) | (x > high)
+    if depth != "walls":
+        outside = outside[..., [0, 2]]
+    return int(outside.any(axis=-1).sum())
+
+
+# --- single contacts ----------------------------------------------------------
+
+
+def _contacts(data: RunData, reference: Model | None) -> tuple[Sign, ...]:
+    model, events = data.model, data.observations.contacts
+    if not events:
+        return ()
+    bodies = {p.name: p for p in model.scene.particles}
+    radius = {pair: min(bodies[name].radius for name in pair if name in bodies) for pair in model.contacts}
+    worst = max(events, key=lambda event: event.delta_max / radius[event.pair])
+    share = worst.delta_max / radius[worst.pair]
+    mean = max(event.delta_mean / (2.0 * radius[event.pair]) for event in events)
+    softest = max(model.contacts, key=lambda pair: _at_rest(model, pair) / radius[pair])
+    found = [
+        _overlap_share(share, f"of {'–'.join(worst.pair)}"),
+        _mean_overlap(mean),
+        _leaking(_through(data), share),
+        _static(_at_rest(model, softest) / (2.0 * radius[softest]), f"of {'–'.join(softest)} under its own weight"),
+    ]
+    fastest = max(events, key=lambda event: event.v_in)
+    contact, r = model.contacts[fastest.pair], radius[fastest.pair]
+    mass = min(_mass(bodies[name]) for name in fastest.pair if name in bodies)
+    other = None if reference is None else reference.contacts.get(fastest.pair)
+    found.append(_sound(fastest.v_in, "the impact speed", contact, 2.0 * r, mass, other))
+    return tuple(found)
+
+
+def _mass(particle: Particle) -> float:
+    return float(sphere_mass(particle.material, particle.radius))
+
+
+def _at_rest(model: Model, pair: tuple[str, str]) -> float:
+    scene = model.scene
+    masses = [_mass(p) for p in scene.particles if p.name in pair]
+    pull = float(np.linalg.norm(scene.gravity))
+    return model.contacts[pair].overlap_under(min(masses) * pull)
+
+
+def _through(data: RunData) -> int:
+    """Count the pairs of a particle and a wall whose overlap was more than the radius."""
+    radius = {p.name: p.radius for p in data.model.scene.particles}
+    walls = {wall.name for wall in data.model.scene.walls}
+    return sum(
+        bool((series.delta > sum(radius.get(name, 0.0) for name in pair)).any())
+        for pair, series in data.observations.series.items()
+        if any(name in walls for name in pair)
+    )
+
+
+# --- each sign ----------------------------------------------------------------
+
+
+def _overlap_share(value: float, where: str) -> Sign:
+    return Sign(
+        name="overlap_share",
+        value=value,
+        unit="–",
+        limit=OVERLAP_DOUBTFUL,
+        source=_SMALL,
+        changed=value > OVERLAP_DOUBTFUL,
+        text=f"The largest overlap {where} is {value:.3g} of the radius.",
+    )
+
+
+def _mean_overlap(value: float) -> Sign:
+    return Sign(
+        name="mean_overlap",
+        value=value,
+        unit="–",
+        limit=OVERLAP_LIMIT,
+        source=_CUSTOM,
+        changed=value > OVERLAP_LIMIT,
+        text=f"The mean overlap of a contact is {100.0 * value:.3g} % of the diameter.",
+    )
+
+
+def _leaking(number: int, overlap: float) -> Sign:
+    deep = overlap >= 1.0
+    return Sign(
+        name="leaking",
+        value=float(number),
+        unit="–",
+        limit=0.0,
+        source=_WALL,
+        changed=number > 0 or deep,
+        text=(
+            f"{number} centre(s) beyond a wall"
+            + (", and two particles overlapped by a radius or more: they may pass each other." if deep else ".")
+        ),
+    )
+
+
+def _static(value: float, where: str) -> Sign:
+    return Sign(
+        name="static_overlap",
+        value=value,
+        unit="–",
+        limit=STATIC_LIMIT,
+        source=_CUSTOM,
+        changed=value > STATIC_LIMIT,
+        text=f"The overlap {where} is {100.0 * value:.3g} % of the diameter.",
+    )
+
+
+def _sound(speed: float, what: str, contact: PairContact, d: float, mass: float, reference: PairContact | None) -> Sign:
+    c = sound_speed(contact, d, mass)
+    value = speed / c
+    text = f"Sound would travel at {c:.3g} m/s along a chain of such particles, {what} is {speed:.3g} m/s"
+    if reference is not None:
+        text += f"; with the real contact it is {math.sqrt(secant(reference) / secant(contact)):.3g} times as fast"
+    return Sign(
+        name="sound_speed",
+        value=value,
+        unit="–",
+        limit=MACH_LIMIT,
+        source=_SOUND,
+        changed=value > MACH_LIMIT,
+        text=f"{text}.",
+    )
+
+
+def _shortest(contacts: Mapping[tuple[str, str], PairContact]) -> PairContact:
+    return min(contacts.values(), key=lambda contact: contact.t_c)

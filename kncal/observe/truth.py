@@ -1,0 +1,119 @@
+"""What a run should have shown: exact metrics of the same model, and the discretisation error to expect of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from kncal.observe.contacts import Observations, observe
+from kncal.physics.closed_forms import gross_sliding, slip_end
+from kncal.physics.laws.registry import get_law
+from kncal.physics.material import sphere_mass
+from kncal.physics.timestep import predict_error
+from kncal.record.frames import Trajectory
+from kncal.scene.ballistics import first_touch
+from kncal.scene.exact import ExactSolution, solve
+from kncal.scene.model import Model
+from kncal.scene.needs import decide
+from kncal.scene.scene import AXES
+
+#: Frames per contact and between contacts at which an exact motion is observed; the Hermite estimators are of
+#: fourth order, so that this many leave a relative error of about 1e-10.
+_FRAMES = 400
+
+
+def exact_motion(model: Model) -> ExactSolution | None:
+    """Return the exact motion of ``model``; None where friction acts, for which there is no exact motion here."""
+    return None if decide(model.scene).uses("tangential") else solve(model, model.t_end)
+
+
+def exact_metrics(model: Model, motion: ExactSolution | None) -> dict[str, float] | None:
+    """Return the metrics (see `kncal.observe.contacts`) of the exact motion, as far as there is one; None if there is
+    not.
+
+    Where friction acts, one sphere against one wall still has an exact normal motion (friction does not act on it), and
+    the closed forms of slip and of gross sliding where they hold.
+    """
+    if motion is not None:
+        return dict(observe(model, exact_trajectory(model, motion)).metrics)
+    if len(model.contacts) != 1 or not model.scene.walls:
+        return None
+    smooth = model.without_friction()
+    frames = exact_trajectory(smooth, solve(smooth, model.t_end))
+    normal = observe(smooth, frames).metrics
+    kept = ("e_n", "t_c", "delta_max", "delta_mean", "rebound_height")
+    return {k: v for k, v in normal.items() if k.startswith(kept)} | _friction_metrics(model, normal)
+
+
+def _friction_metrics(model: Model, normal: Mapping[str, float]) -> dict[str, float]:
+    (contact,) = model.contacts.values()
+    (particle,), (wall,) = model.scene.particles, model.scene.walls
+    axis = AXES.index(wall.axis)
+    v_t = float(np.linalg.norm(np.delete(particle.velocity, axis)))
+    if any(particle.spin) or v_t == 0.0:
+        return {}
+    touch = first_touch(model.scene, particle, wall)
+    if touch is None:
+        end = slip_end(v_t, contact.friction, abs(model.scene.gravity[axis]))
+        return {"slip_end_time": end.time, "slip_end_speed": end.speed}
+    attracts = contact.end == "overlap" and contact.c > 0.0
+    e_n, v_n = normal.get("e_n"), touch[1]
+    if e_n is None or attracts or v_t < 3.5 * contact.friction * (1.0 + e_n) * v_n:
+        return {}
+    slid = gross_sliding(v_n, v_t, friction=contact.friction, e_n=e_n, radius=particle.radius)
+    return {
+        "tangential_restitution": slid.tangential_restitution,
+        "spin_out": slid.spin,
+        "rebound_angle": slid.rebound_angle,
+        "v_out": slid.v_n,
+    }
+
+
+def exact_trajectory(model: Model, motion: ExactSolution) -> Trajectory:
+    """Return the exact motion as frames: dense in the contacts, with one frame just before and after each."""
+    times = [np.linspace(0.0, motion.t_end, _FRAMES)]
+    for contact in motion.contacts:
+        start, end = contact.t_start, contact.t_start + contact.t_c
+        margin = 1e-3 * contact.t_c
+        times.append(np.linspace(start - margin, end + margin, _FRAMES))
+    t = np.unique(np.clip(np.concatenate(times), 0.0, motion.t_end))
+    x, v = motion.at(t)
+    # Observations take the acceleration of free flight from the force on a free particle: its weight.
+    mass = np.array([float(sphere_mass(p.material, p.radius)) for p in model.scene.particles])
+    weight = mass[:, None] * np.asarray(model.scene.gravity)
+    return Trajectory(
+        names=motion.names,
+        step=np.arange(t.size),
+        t=t,
+        x=x,
+        v=v,
+        spin=np.zeros_like(x),
+        force=np.broadcast_to(weight, x.shape),
+        radius=np.array([p.radius for p in model.scene.particles]),
+    )
+
+
+def predicted_errors(model: Model, observations: Observations) -> dict[str, float]:
+    """Return the relative discretisation error to expect of every metric that comes from contacts (worst phase).
+
+    A later contact starts with the error of the speed that the earlier ones left; its overlaps go with the speed
+    (Hertz: the 4/5 power, the duration the -1/5), heights with its square.
+    """
+    errors: dict[str, float] = {}
+    for k, event in enumerate(observations.contacts, start=1):
+        contact = model.contacts[event.pair]
+        law = get_law(contact.law)
+        worst = predict_error(law.name, contact.e_n, contact.t_c / model.dt, contact.end).worst
+        suffix = "" if k == 1 else f"_{k}"
+        inherited = (k - 1) * worst["e_n"]
+        own = {
+            "e_n": worst["e_n"],
+            "t_c": worst["t_c"] + 0.2 * inherited,
+            "delta_max": worst["delta_max"] + inherited,
+            "delta_mean": worst["delta_mean"] + inherited,
+            "v_out": worst["e_n"] + inherited,
+            "rebound_height": 2.0 * (worst["e_n"] + inherited),
+        }
+        errors |= {name + suffix: value for name, value in own.items()}
+    return errors

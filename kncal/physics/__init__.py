@@ -1,0 +1,1 @@
+"""Laws, impacts, methods, calibration, time steps, drag, statistics: numbers in, numbers out."""

@@ -1,0 +1,88 @@
+"""What stays the same during the run of a bed and is needed to understand its numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kncal.core.checks import Array
+from kncal.scene.bed_model import BedModel
+
+
+@dataclass(frozen=True, kw_only=True)
+class BedFacts:
+    """What stays the same during a run and is needed to understand its numbers.
+
+    Attributes
+    ----------
+    name : of the scene; kind : "linear" or "hertz"
+    size : box (x, y, z) [m]; cells : gas cells per axis; front_back : see `kncal.scene.bed_scene.DEPTHS`
+    count : particles; diameter [m]; density of the particles [kg/m³]; gravity [m/s²]
+    gas_density : [kg/m³], 0 without gas
+    jet : whether the gas enters through a jet, so that ``p_in`` is the pressure at its slot only
+    coupling : interval between couplings [s]
+    histogram_edges : (bins + 1,) edges of the overlap histogram [m]
+    impact_edges : (bins + 1,) edges of the histograms of impact speeds [m/s]; empty: they were not recorded
+    """
+
+    name: str
+    kind: str
+    size: tuple[float, float, float]
+    cells: tuple[int, int, int]
+    front_back: str
+    count: int
+    diameter: float
+    density: float
+    gravity: float
+    gas_density: float
+    jet: bool
+    coupling: float
+    histogram_edges: tuple[float, ...]
+    impact_edges: tuple[float, ...] = ()
+
+    @property
+    def impact_bins(self) -> int:
+        """Number of bins of the histograms of impact speeds, 0 where they were not recorded."""
+        return max(len(self.impact_edges) - 1, 0)
+
+    @property
+    def floor_area(self) -> float:
+        """Area of the floor [m²]."""
+        return self.size[0] * self.size[1]
+
+    @property
+    def mass(self) -> float:
+        """Mass of all particles [kg]."""
+        return self.count * self.density * np.pi / 6.0 * self.diameter**3
+
+    @property
+    def weight(self) -> float:
+        """Weight of all particles [N]."""
+        return self.mass * self.gravity
+
+
+def bed_facts(model: BedModel, histogram_edges: Array, impact_edges: Array | None = None) -> BedFacts:
+    """Collect the facts of a model.
+
+    ``histogram_edges`` (bins + 1,) [m] as the particle side counts overlaps; ``impact_edges`` (bins + 1,) [m/s] as it
+    counts impact speeds, None without one.
+    """
+    scene = model.scene
+    column, particles = scene.column, scene.particles
+    return BedFacts(
+        name=scene.name,
+        kind=model.kind,
+        size=(column.width, column.depth, column.height),
+        cells=column.cells,
+        front_back=column.front_back,
+        count=particles.count,
+        diameter=particles.diameter,
+        density=float(particles.material.density),
+        gravity=scene.gravity,
+        gas_density=scene.gas.density if scene.gas else 0.0,
+        jet=bool(scene.gas and scene.gas.jet),
+        coupling=model.coupling,
+        histogram_edges=tuple(float(edge) for edge in histogram_edges),
+        impact_edges=() if impact_edges is None else tuple(float(edge) for edge in impact_edges),
+    )

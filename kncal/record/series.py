@@ -1,0 +1,371 @@
+"""What a bed run leaves behind: numbers per coupling, frames of particles and gas; written piece by piece.
+
+On disk: a folder with ``facts.json`` and ``piece-00000.npz``, ``piece-00001.npz``, ... Every piece appears as a
+whole or not at all, so a run that dies keeps all pieces before. A run that goes on from a checkpoint opens the same
+folder again; rows that it computes anew replace the old ones when the folder is read.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kncal.core.arrays import read_npz
+from kncal.core.checks import Array
+from kncal.core.errors import InputError, ReadError
+from kncal.core.tables import read_json, write_csv, write_json
+from kncal.engines.coupling import DemStep, GasFields, GasStep
+from kncal.record.facts import BedFacts
+
+#: A piece is written when it holds this much [bytes], or when the last one is this old [s].
+PIECE_BYTES = 16 * 1024**2
+PIECE_SECONDS = 30.0
+#: A larger piece is refused when read [bytes].
+MAX_PIECE_BYTES = 1024**3
+
+Frames = NDArray[np.float32]
+
+#: Unit of each number of a coupling.
+UNITS: Mapping[str, str] = {
+    "coupling": "-", "t": "s", "U_0": "m/s", "p_in": "Pa", "floor": "N", "walls": "N", "drag_z": "N", "weight": "N",
+    "momentum_z": "kg m/s", "kinetic_energy": "J", "z_mean": "m", "z_95": "m", "overlap_max": "m",
+    "overlap_mean": "m", "contacts": "-", "reaction_error": "-", "not_passed": "-", "solids_error": "-",
+    "eps_g_min": "-", "courant_max": "-",
+}  # fmt: skip
+_PER_COUPLING = ("histogram", "watched", "impacts", "impact_sums")
+_FRAMES = ("frame_coupling", "t_frame", "x", "v", "eps_g", "p", "U")
+
+
+@dataclass(frozen=True, kw_only=True)
+class BedSeries:
+    """All numbers of a run; NaN where a run without gas or with frozen particles has none.
+
+    Arrays of (couplings,), at or over the interval that ends at ``t``:
+
+    Attributes
+    ----------
+    facts : BedFacts
+    coupling : number of the coupling, from 1, increasing by 1
+    t : time [s]; U_0 : superficial inlet velocity [m/s]
+    p_in : mean gauge pressure at the inlet patch [Pa]
+    floor, walls : vertical force of the particles on the floor, and on side walls and lid, positive downwards, mean
+        over the interval [N]
+    drag_z : sum of the gas forces on the particles, buoyancy included, upwards [N]
+    weight : of the particles [N]; momentum_z : of the particles, upwards [kg m/s]
+    kinetic_energy : of the particles' translation [J]
+    z_mean, z_95 : mean and 95 % quantile of the heights of the particle centres [m]
+    overlap_max, overlap_mean : of the particle contacts in the interval [m]; contacts : their number
+    reaction_error, not_passed : see `kncal.engines.coupling.GasStep`, relative to the weight
+    solids_error, eps_g_min, courant_max : see `GasStep`
+    histogram : (couplings, bins) counts of overlaps, edges in ``facts.histogram_edges``
+    watched : (couplings,) time in which new contacts were watched for [s]; 0 where impacts were not recorded
+    impacts : (couplings, 2, bins) counts of the impact speeds of new contacts of two particles, and of a particle and a
+        wall, edges in ``facts.impact_edges`` (no bins where they were not recorded)
+    impact_sums : (couplings, 2, 3) sums over the same impacts of v, v², v³
+    frame_coupling : (frames,) coupling after which a frame was taken, 0 for the start
+    t_frame : (frames,) [s]
+    x, v : (frames, particles, 3) [m], [m/s], single precision
+    eps_g, p, U : (frames, nz, ny, nx) void fraction, gauge pressure [Pa]; (frames, nz, ny, nx, 3) [m/s]; single
+        precision; no frames (first axis 0) without gas
+    """
+
+    facts: BedFacts
+    coupling: NDArray[np.int64]
+    t: Array
+    U_0: Array
+    p_in: Array
+    floor: Array
+    walls: Array
+    drag_z: Array
+    weight: Array
+    momentum_z: Array
+    kinetic_energy: Array
+    z_mean: Array
+    z_95: Array
+    overlap_max: Array
+    overlap_mean: Array
+    contacts: Array
+    reaction_error: Array
+    not_passed: Array
+    solids_error: Array
+    eps_g_min: Array
+    courant_max: Array
+    histogram: NDArray[np.int64]
+    watched: Array
+    impacts: NDArray[np.int32]
+    impact_sums: Array
+    frame_coupling: NDArray[np.int64]
+    t_frame: Array
+    x: Frames
+    v: Frames
+    eps_g: Frames
+    p: Frames
+    U: Frames
+
+
+class SeriesWriter:
+    """Writes a run into a folder, piece by piece; use as a context manager or call `close`.
+
+    The folder is made if missing; pieces that are there stay, see the module's text. InputError if they are of a run
+    with other facts.
+    """
+
+    def __init__(self, folder: Path, facts: BedFacts) -> None:
+        self.folder = folder
+        self.facts = facts
+        folder.mkdir(parents=True, exist_ok=True)
+        if (folder / "facts.json").exists():
+            there = _read_facts(folder)
+            if not there.impact_edges:
+                self.facts = facts = replace(facts, impact_edges=())  # began without a record of impacts, ends so
+            if there != facts:
+                differing = ", ".join(f.name for f in fields(facts) if getattr(there, f.name) != getattr(facts, f.name))
+                raise InputError(
+                    f"{folder} holds the series of another run ({differing} differ); expected the same run, or an "
+                    "empty folder"
+                )
+        else:
+            write_json(folder / "facts.json", asdict(facts))
+        self._number = 1 + max((_piece_number(path) for path in folder.glob("piece-*.npz")), default=-1)
+        self._rows: list[tuple[float, ...]] = []
+        self._histograms: list[NDArray[np.int64]] = []
+        self._impacts: list[tuple[float, NDArray[np.int32], Array]] = []
+        self._frames: list[tuple[NDArray[Any], ...]] = []
+        self._bytes = 0
+        self._written_at = time.monotonic()
+
+    def __enter__(self) -> SeriesWriter:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def add(self, coupling: int, U_0: float, gas: GasStep | None, dem: DemStep | None, x: Array, v: Array) -> None:
+        """Take the numbers of one coupling.
+
+        Parameters
+        ----------
+        coupling : int
+            From 1; the time is ``coupling * facts.coupling``.
+        U_0 : float
+            Superficial inlet velocity of this interval [m/s].
+        gas : GasStep or None
+            None without gas: no force, no pressure, the rest NaN.
+        dem : DemStep or None
+            None with frozen particles: NaN.
+        x, v : (n, 3) arrays
+            Positions [m] and velocities [m/s] at the end of the interval.
+        """
+        # Only here: a piece holds the frames of its couplings, so that a later piece replaces whole couplings.
+        if self._bytes > PIECE_BYTES or time.monotonic() - self._written_at > PIECE_SECONDS:
+            self.flush()
+        facts = self.facts
+        nan = float("nan")
+        mass, weight = facts.mass / max(facts.count, 1), facts.weight
+        row = dict.fromkeys(UNITS, nan) | {
+            "coupling": float(coupling),
+            "t": coupling * facts.coupling,
+            "U_0": U_0,
+            "p_in": 0.0,
+            "drag_z": 0.0,
+            "weight": weight,
+            "momentum_z": mass * float(v[:, 2].sum()),
+            "kinetic_energy": 0.5 * mass * float(np.einsum("ij,ij->", v, v)),
+            "z_mean": float(x[:, 2].mean()) if len(x) else nan,
+            "z_95": _quantile(x[:, 2], 0.95) if len(x) else nan,
+        }
+        if gas is not None:
+            row |= {name: getattr(gas, name) for name in ("p_in", "solids_error", "eps_g_min", "courant_max")}
+            row["drag_z"] = float(gas.force[:, 2].sum())
+            row["reaction_error"] = gas.reaction_error / weight if weight else nan
+            row["not_passed"] = gas.not_passed / weight if weight else nan
+        histogram = np.zeros(len(facts.histogram_edges) - 1, dtype=np.int64)
+        watched, impacts, sums = 0.0, np.zeros((2, facts.impact_bins), dtype=np.int32), np.zeros((2, 3))
+        if dem is not None:
+            row |= {name: getattr(dem, name) for name in ("overlap_max", "overlap_mean", "contacts")}
+            row |= {"floor": dem.floor_force, "walls": dem.other_walls_force}
+            histogram = np.array(dem.histogram, dtype=np.int64)
+            if facts.impact_edges:
+                watched, impacts, sums = dem.watched, np.array(dem.impacts, dtype=np.int32), dem.impact_sums.copy()
+        self._rows.append(tuple(row[name] for name in UNITS))
+        self._histograms.append(histogram)
+        self._impacts.append((watched, impacts, sums))
+        self._bytes += 8 * (len(UNITS) + len(histogram) + facts.impact_bins + 7)
+
+    def frame(self, coupling: int, x: Array, v: Array, fields: GasFields | None) -> None:
+        """Record a frame after coupling ``coupling`` (0: the start), before the next `add`; copies what it is given.
+
+        ``x``, ``v`` as in `add`; ``fields`` None without gas.
+        """
+        nx, ny, nz = self.facts.cells
+        gas = (np.empty((0, nz, ny, nx)), np.empty((0, nz, ny, nx)), np.empty((0, nz, ny, nx, 3)))
+        if fields is not None:
+            gas = (fields.eps_g[None], fields.p[None], fields.U[None])
+        frame = (
+            np.array([coupling], dtype=np.int64),
+            np.array([coupling * self.facts.coupling]),
+            *(np.array(array, dtype=np.float32) for array in (x[None], v[None], *gas)),
+        )
+        self._frames.append(frame)
+        self._bytes += sum(array.nbytes for array in frame)
+
+    def flush(self) -> None:
+        """Bring everything so far to the disk. Call it before saving a checkpoint."""
+        self._written_at = time.monotonic()
+        if not self._rows and not self._frames:
+            return
+        arrays: dict[str, NDArray[Any]] = {
+            "rows": np.array(self._rows, dtype=np.float64).reshape(-1, len(UNITS)),
+            "histogram": np.array(self._histograms, dtype=np.int64).reshape(-1, len(self.facts.histogram_edges) - 1),
+            "watched": np.array([watched for watched, _, _ in self._impacts]),
+            "impacts": np.array([impacts for _, impacts, _ in self._impacts], dtype=np.int32).reshape(
+                len(self._impacts), 2, self.facts.impact_bins
+            ),
+            "impact_sums": np.array([sums for _, _, sums in self._impacts]).reshape(-1, 2, 3),
+        }
+        if self._frames:
+            arrays |= {
+                name: np.concatenate(parts)
+                for name, parts in zip(_FRAMES, zip(*self._frames, strict=True), strict=True)
+            }
+        path = self.folder / f"piece-{self._number:05d}.npz"
+        part = path.with_suffix(".part")
+        with part.open("wb") as file:
+            np.savez(file, allow_pickle=False, **arrays)
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(path)
+        self._number += 1
+        self._rows, self._histograms, self._impacts, self._frames, self._bytes = [], [], [], [], 0
+
+    def close(self) -> None:
+        """Write what is left; may be called twice."""
+        self.flush()
+
+
+def read_series(folder: Path) -> BedSeries:
+    """Read the series that `SeriesWriter` wrote into ``folder``, of a finished, a running or a dead run.
+
+    Raises
+    ------
+    ReadError
+        If there is no piece, if a piece is damaged or does not fit the facts, or if couplings are missing.
+    """
+    facts = _read_facts(folder)
+    paths = sorted(folder.glob("piece-*.npz"), key=_piece_number)
+    if not paths:
+        raise ReadError(f"{folder}: no piece-*.npz; expected the series of a run (did it end before its first piece?)")
+    kept: list[dict[str, NDArray[Any]]] = []
+    for path in paths:
+        piece = _read_piece(path, facts)
+        numbers = np.concatenate([piece["rows"][:, 0], piece["frame_coupling"]])
+        kept = [_before(int(numbers.min()), earlier) for earlier in kept]  # computed anew after a checkpoint
+        kept.append(piece)
+    whole = {name: np.concatenate([piece[name] for piece in kept]) for name in kept[0]}
+    rows = whole.pop("rows")
+    coupling = rows[:, 0].astype(np.int64)
+    if len(coupling) and not np.array_equal(coupling, np.arange(1, len(coupling) + 1)):
+        at = int(np.flatnonzero(coupling != np.arange(1, len(coupling) + 1))[0]) + 1
+        raise ReadError(f"{folder}: coupling {at} is missing; expected every coupling from 1 on (was a piece deleted?)")
+    table: dict[str, Any] = {name: rows[:, i].astype(np.float64) for i, name in enumerate(UNITS)}
+    return BedSeries(facts=facts, **(table | {"coupling": coupling}), **whole)
+
+
+def series_reaches(folder: Path, coupling: int) -> bool:
+    """Return whether there is a series with every coupling from 1 to ``coupling``."""
+    there: set[int] = set()
+    try:
+        facts = _read_facts(folder)
+        for path in folder.glob("piece-*.npz"):
+            there.update(_read_piece(path, facts)["rows"][:, 0].astype(np.int64).tolist())
+    except ReadError:
+        return False
+    return len(there.intersection(range(1, coupling + 1))) == coupling
+
+
+def write_series_csv(path: Path, series: BedSeries) -> None:
+    """Write the numbers per coupling as CSV with units in its first line; see `kncal.core.tables.write_csv`."""
+    import pandas as pd
+
+    write_csv(path, pd.DataFrame({name: getattr(series, name) for name in UNITS}), UNITS)
+
+
+def _quantile(values: Array, share: float) -> float:
+    """Return the smallest value that at least ``share`` of all do not exceed: quicker than np.quantile."""
+    at = max(0, int(np.ceil(share * len(values))) - 1)
+    return float(np.partition(values, at)[at])
+
+
+def _piece_number(path: Path) -> int:
+    try:
+        return int(path.stem.removeprefix("piece-"))
+    except ValueError as error:
+        raise ReadError(f"{path}: not a name that kncal gives; expected piece-00000.npz and so on") from error
+
+
+def _read_facts(folder: Path) -> BedFacts:
+    path = folder / "facts.json"
+    data = read_json(path)
+    names = {f.name for f in fields(BedFacts)}
+    if not isinstance(data, dict) or {*data, "impact_edges"} != names:  # older runs have no record of impacts
+        raise ReadError(f"{path}: expected exactly the keys {', '.join(sorted(names))}")
+    from pydantic import TypeAdapter, ValidationError
+
+    try:
+        facts = TypeAdapter(BedFacts).validate_python(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise ReadError(f"{path}: {'.'.join(map(str, first['loc']))}: {first['msg']}") from error
+    if facts.count < 0 or min(facts.cells) < 1 or not facts.coupling > 0.0 or len(facts.histogram_edges) < 2:
+        raise ReadError(f"{path}: expected count >= 0, cells >= 1, coupling > 0, two or more histogram_edges")
+    return facts
+
+
+def _before(coupling: int, piece: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    rows = piece["rows"][:, 0] < coupling
+    frames = piece["frame_coupling"] < coupling
+    gas = frames if len(piece["eps_g"]) else np.zeros(0, dtype=bool)
+    masks = dict.fromkeys(("rows", *_PER_COUPLING), rows) | {"eps_g": gas, "p": gas, "U": gas}
+    return {name: array[masks.get(name, frames)] for name, array in piece.items()}
+
+
+def _read_piece(path: Path, facts: BedFacts) -> dict[str, NDArray[Any]]:
+    """Read one piece; every array is there, with zero frames if the piece has none, and has the shape it must have."""
+    arrays = read_npz(path, MAX_PIECE_BYTES)
+    nx, ny, nz = facts.cells
+    field_shape = (nz, ny, nx)
+    shapes: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
+        "rows": (np.float64, (len(UNITS),)),
+        "histogram": (np.int64, (len(facts.histogram_edges) - 1,)),
+        "watched": (np.float64, ()),
+        "impacts": (np.int32, (2, facts.impact_bins)),
+        "impact_sums": (np.float64, (2, 3)),
+        "frame_coupling": (np.int64, ()),
+        "t_frame": (np.float64, ()),
+        "x": (np.float32, (facts.count, 3)),
+        "v": (np.float32, (facts.count, 3)),
+        "eps_g": (np.float32, field_shape),
+        "p": (np.float32, field_shape),
+        "U": (np.float32, (*field_shape, 3)),
+    }
+    recorded = bool(facts.impact_edges) or "rows" not in arrays
+    for name, (kind, shape) in shapes.items():
+        # of older runs, which have no record of impacts: none in every coupling
+        first = 0 if recorded or not name.startswith(("watched", "impact")) else len(arrays["rows"])
+        array = arrays.setdefault(name, np.zeros((first, *shape), dtype=kind))
+        if array.dtype != kind or array.shape[1:] != shape:
+            raise ReadError(f"{path}: {name} is {array.dtype} {array.shape}; expected {kind.__name__} (any, {shape})")
+        if name in _PER_COUPLING and len(array) != len(arrays["rows"]):
+            raise ReadError(
+                f"{path}: {name} of {len(array)} couplings; expected {len(arrays['rows'])}, as many as rows"
+            )
+    if not len(arrays["rows"]) and not len(arrays["frame_coupling"]):
+        raise ReadError(f"{path}: empty; expected rows or frames")
+    return {name: arrays[name] for name in shapes}

@@ -1,0 +1,232 @@
+"""The figures of a report: which lines of a comparison are drawn, and what to look at in them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kncal.core.checks import Array
+from kncal.observe.compare import Comparison, ExactMotion, RunData
+from kncal.observe.contacts import overlaps
+from kncal.physics.material import sphere_mass
+from kncal.record.frames import Trajectory
+from kncal.report import plots
+from kncal.scene.model import PairContact
+from kncal.scene.scene import AXES, Particle, Scene, Wall
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+
+#: Points of a drawn smooth line.
+_POINTS = 600
+
+
+@dataclass(frozen=True, kw_only=True)
+class Figure:
+    """A figure in a report's folder: its files, what to look at, and what a blind reader is told."""
+
+    name: str
+    png: str
+    svg: str
+    caption: str
+    alt: str
+
+
+def draw_figures(
+    comparison: Comparison, kn_curves: Mapping[str, Any], error_table: pd.DataFrame, folder: Path
+) -> tuple[Figure, ...]:
+    """Write every figure that the data allow as PNG and SVG into ``folder``.
+
+    Parameters
+    ----------
+    comparison : Comparison
+    kn_curves : as `kncal.report.overview.kn_curves` returns it; empty if there is no speed to calibrate at
+    error_table : as `kncal.report.overview.error_table` returns it; empty if there is no prediction
+    """
+    figures = []
+
+    def add(name: str, ax: Axes, caption: str, alt: str) -> None:
+        png, svg = plots.save(ax, folder, name)
+        figures.append(Figure(name=name, png=png.name, svg=svg.name, caption=caption, alt=alt))
+
+    _add_contact(comparison, add)
+    label, paths = _motions(comparison)
+    add(
+        "motion",
+        plots.motion(paths, label),
+        f"The whole run, {label}: what the softer or stiffer contact does to the motion after each contact.",
+        f"{label} against time, linear and Hertz.",
+    )
+    if kn_curves:
+        for against, chosen in zip(("v_0", "e_n"), kn_curves["chosen"], strict=True):
+            what = "impact speed" if against == "v_0" else "restitution"
+            add(
+                f"k_n_{against}",
+                plots.stiffness(kn_curves[against], kn_curves[f"against_{against}"], against, float(chosen)),
+                f"Linear stiffness by each method against {what}; the dotted line is this case. The curves"
+                " lie as far apart as the choice of the method matters.",
+                f"Linear stiffness k_n against {what} for several methods.",
+            )
+    if len(error_table):
+        add(
+            "error_steps",
+            plots.errors(error_table),
+            "What the time step costs in accuracy: predicted worst error over the sub-step phases of first"
+            " touch; the marked points are the steps of these runs.",
+            "Predicted relative error against steps per contact, linear and Hertz.",
+        )
+    return tuple(figures)
+
+
+def _add_contact(comparison: Comparison, add: Callable[[str, Axes, str, str], None]) -> None:
+    """Draw the first contact of the Hertz run in both models, unless nothing changes in it."""
+    contacts = comparison.hertz.observations.contacts
+    if not contacts:
+        return
+    both = (("linear", comparison.linear), ("hertz", comparison.hertz))
+    lines = [(kind, c) for kind, data in both if (c := _first_contact(data, contacts[0].pair)) is not None]
+    runs = {kind: c.run for kind, c in lines}
+    if not any(_changes(delta) for _, delta in runs.values()):
+        return
+    exact = {kind: c.exact for kind, c in lines if c.exact is not None}
+    forces = {kind: c.run_force for kind, c in lines if c.run_force is not None}
+    loops = {kind: c.exact_force for kind, c in lines if c.exact_force is not None}
+    pair = " and ".join(contacts[0].pair)
+    markers = "Markers: the runs." + (" Lines: the exact solutions, free of any time step." if exact else "")
+    add(
+        "overlap_time",
+        plots.overlap_time(runs, exact),
+        f"First contact of {pair}: do the two models agree in height and width? {markers}",
+        f"Overlap against time of the first contact of {pair}, linear and Hertz.",
+    )
+    if forces or loops:
+        add(
+            "force_overlap",
+            plots.force_loops(forces, loops),
+            "The same contact, force against overlap: each loop's area is the energy lost, its slope the"
+            " stiffness; Hertz starts soft and ends stiff, the linear spring does not.",
+            f"Normal force against overlap of the first contact of {pair}, linear and Hertz.",
+        )
+
+
+def _changes(delta: Array) -> bool:
+    """Whether an overlap changes at all; a particle at rest on a wall has nothing to show."""
+    return len(delta) > 1 and bool(np.ptp(delta) > 1e-3 * delta.max())
+
+
+@dataclass(frozen=True)
+class _Lines:
+    """Lines of one model's first contact: (time, overlap) and (overlap, force), of the run and exact."""
+
+    run: plots.Line
+    exact: plots.Line | None
+    run_force: plots.Line | None
+    exact_force: plots.Line | None
+
+
+def _first_contact(data: RunData, pair: tuple[str, str]) -> _Lines | None:
+    """Lines of a pair's first contact, from touch to separation; three durations if it does not end."""
+    event = next((c for c in data.observations.contacts if c.pair == pair), None)
+    if event is None:
+        return None
+    scene, motion = data.model.scene, data.trajectory
+    contact = data.model.contacts[pair]
+    first, second = _bodies(scene, pair)
+    start = event.t_start
+    end = start + (event.t_c if event.complete else 3.0 * contact.t_c)
+    inside = (motion.t >= start) & (motion.t <= end)
+    delta = data.observations.series[pair].delta[inside]
+    run = (motion.t[inside] - start, np.maximum(delta, 0.0))
+    run_force = exact = exact_force = None
+    if not _touches_others(data, pair, inside):
+        # what the solver really applied: the recorded total force without the weight
+        index = [p.name for p in scene.particles].index(first.name)
+        weight = float(sphere_mass(first.material, first.radius)) * np.asarray(scene.gravity)
+        normal = _normal(scene, first, second, motion.x[inside])
+        run_force = (delta, ((motion.force[inside, index] - weight) * normal).sum(axis=1))
+    if data.motion is not None:
+        times = np.linspace(start, min(end, data.model.t_end), _POINTS)
+        delta, rate = _exact_overlap(scene, pair, data.motion, times)
+        exact = (times - start, np.maximum(delta, 0.0))
+        touching = delta >= 0.0
+        exact_force = (delta[touching], _normal_force(contact, delta[touching], rate[touching]))
+    return _Lines(run, exact, run_force, exact_force)
+
+
+def _bodies(scene: Scene, pair: tuple[str, str]) -> tuple[Particle, Particle | Wall]:
+    return next((a, b) for a, b in scene.body_pairs() if (a.name, b.name) == pair)
+
+
+def _normal(scene: Scene, first: Particle, second: Particle | Wall, x: Array) -> Array:
+    """Unit vector (frames, 3) from the second body towards the first; ``x`` are all positions [m]."""
+    names = [p.name for p in scene.particles]
+    i = names.index(first.name)
+    if isinstance(second, Wall):
+        axis = AXES.index(second.axis)
+        normal = np.zeros_like(x[:, i])
+        normal[:, axis] = np.sign(first.position[axis] - second.position)
+        return normal
+    apart = x[:, i] - x[:, names.index(second.name)]
+    towards: Array = apart / np.linalg.norm(apart, axis=1)[:, None]
+    return towards
+
+
+def _touches_others(data: RunData, pair: tuple[str, str], inside: NDArray[np.bool_]) -> bool:
+    """Whether the first body of ``pair`` is in another contact, which would show in its recorded force."""
+    others = (s for p, s in data.observations.series.items() if p != pair and pair[0] in p)
+    return any(bool((s.delta[inside] > 0.0).any()) for s in others)
+
+
+def _exact_overlap(scene: Scene, pair: tuple[str, str], exact: ExactMotion, times: Array) -> tuple[Array, Array]:
+    """Overlap [m] and its rate [m/s] of a pair at ``times`` of the exact motion."""
+    x, v = exact.at(times)
+    nothing = np.zeros_like(x)
+    radii = np.array([p.radius for p in scene.particles])
+    names = tuple(p.name for p in scene.particles)
+    motion = Trajectory(names, np.arange(len(times)), times, x, v, nothing, nothing, radii)
+    series = overlaps(scene, motion)[pair]
+    return series.delta, series.delta_dot
+
+
+def _normal_force(contact: PairContact, delta: Array, rate: Array) -> Array:
+    """Normal force of `PairContact` [N], k delta^n + c delta^p delta_dot, no attraction for the force end."""
+    force = contact.k * delta**contact.n + contact.c * delta**contact.p * rate
+    return np.maximum(force, 0.0) if contact.end == "force" else force
+
+
+def _motions(comparison: Comparison) -> tuple[str, dict[str, plots.Line]]:
+    """Label and lines of the motion: gap to the wall that is hit first, else the largest displacement."""
+    from scipy.interpolate import CubicHermiteSpline
+
+    data = comparison.hertz
+    scene = data.model.scene
+    wall = None
+    if data.observations.contacts:
+        first, second = _bodies(scene, data.observations.contacts[0].pair)
+        wall = second if isinstance(second, Wall) else None
+    sides = data.trajectory.x.max(axis=0) - data.trajectory.x.min(axis=0)
+    particle, axis = (int(i) for i in np.unravel_index(sides.argmax(), sides.shape))
+    if wall is not None and AXES[axis] == wall.axis:
+        particle = [p.name for p in scene.particles].index(first.name)
+        label = f"gap between {first.name} and {wall.name}"
+    else:
+        wall = None
+        label = f"displacement of {scene.particles[particle].name} along {AXES[axis]}"
+    lines = {}
+    for kind, run in (("linear", comparison.linear), ("hertz", comparison.hertz)):
+        motion = run.trajectory
+        # frames are far apart in flight, where the interpolant is exact
+        times = np.union1d(motion.t, np.linspace(motion.t[0], motion.t[-1], _POINTS))
+        x = CubicHermiteSpline(motion.t, motion.x[:, particle, axis], motion.v[:, particle, axis])(times)
+        if wall is None:
+            lines[kind] = (times, x - motion.x[0, particle, axis])
+        else:
+            side = np.sign(scene.particles[particle].position[axis] - wall.position)
+            lines[kind] = (times, (x - wall.position) * side - scene.particles[particle].radius)
+    return label, lines

@@ -1,0 +1,57 @@
+"""A run's numbers for other programs: tables for spreadsheets and pandas, frames for ParaView."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from kncal.core.tables import write_csv
+from kncal.observe.compare import RunData
+from kncal.record.vtk import write_particles
+
+#: Frames for ParaView are thinned to about this many files.
+PARAVIEW_FRAMES = 500
+
+_CONTACT_UNITS = {
+    "t_start": "s",
+    "t_c": "s",
+    "delta_max": "m",
+    "delta_mean": "m",
+    "v_in": "m/s",
+    "v_out": "m/s",
+    "e_n": "-",
+    "complete": "-",
+}
+_BODIES = {"body_1": "-", "body_2": "-"}
+
+
+def export_tables(data: RunData) -> tuple[Path, Path]:
+    """Write ``contacts.csv`` (a row per contact) and ``overlaps.csv`` (a row per pair and frame) into the run's folder.
+
+    The first line of each names the units; an overlap below zero is a gap.
+    """
+    import pandas as pd
+
+    folder = data.result.folder
+    contacts, overlaps = folder / "contacts.csv", folder / "overlaps.csv"
+    write_csv(contacts, data.observations.to_frame(), _BODIES | _CONTACT_UNITS)
+    frames = [
+        pd.DataFrame(
+            {
+                "body_1": pair[0],
+                "body_2": pair[1],
+                "t": series.t,
+                "delta": series.delta,
+                "delta_dot": series.delta_dot,
+            }
+        )
+        for pair, series in data.observations.series.items()
+    ]
+    units = _BODIES | {"t": "s", "delta": "m", "delta_dot": "m/s"}
+    write_csv(overlaps, pd.concat(frames, ignore_index=True), units)
+    return contacts, overlaps
+
+
+def export_paraview(data: RunData) -> Path:
+    """Write ``paraview/particles.pvd`` with its VTP files into the run's folder; returns the file to open."""
+    every = max(1, -(-data.trajectory.step.size // PARAVIEW_FRAMES))
+    return write_particles(data.trajectory, data.result.folder / "paraview", every)

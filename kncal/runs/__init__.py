@@ -1,0 +1,1 @@
+"""The run folder: render, run, go on, load, compare."""

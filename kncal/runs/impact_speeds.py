@@ -1,0 +1,174 @@
+"""The impact speeds of one run, read from its folder, and the stiffness that its case's method gives at them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from kncal.core.errors import InputError
+from kncal.observe.impact_speeds import (
+    Enduring,
+    ImpactSpeeds,
+    StiffnessAt,
+    bed_impact_speeds,
+    contact_impact_speeds,
+    enduring,
+    stiffness_at,
+)
+from kncal.physics.material import Pair
+from kncal.runs.folder import read_model_folder
+from kncal.scene.bed_scene import BedScene
+from kncal.scene.model import PairContact
+from kncal.scene.pair_contact import PairNumbers, numbers_of
+from kncal.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from kncal.observe.contacts import ContactEvent
+
+#: Key of the impacts of single contacts whose pairs are all alike.
+ALL = "all"
+
+
+@dataclass(frozen=True, kw_only=True)
+class MetPair:
+    """Two bodies that met in a run: what they are called, their pair, the case's numbers, the contact that ran."""
+
+    names: tuple[str, str]
+    both: Pair
+    numbers: PairNumbers
+    contact: PairContact
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunSpeeds:
+    """What one run says about impact speeds.
+
+    Attributes
+    ----------
+    scene, model : of the run, model "linear" or "hertz"
+    begin, end : of the time that counts [s]; of single contacts all of it
+    speeds : "particles" and "walls" of a bed -> ImpactSpeeds; of single contacts `ALL`, or, where pairs met that
+        are not alike, the names of the first of each kind ("ball–floor"), in the order in which they met
+    pairs : the same keys -> MetPair (of pairs that are alike the first that met)
+    enduring : of a bed's contacts, or None
+    """
+
+    scene: Scene | BedScene
+    model: str
+    begin: float
+    end: float
+    speeds: Mapping[str, ImpactSpeeds]
+    pairs: Mapping[str, MetPair]
+    enduring: Enduring | None
+
+    @property
+    def main(self) -> str:
+        """The key of the impacts that a case is calibrated at: the first of ``speeds`` that were any."""
+        return next((kind for kind, found in self.speeds.items() if found.count), next(iter(self.speeds)))
+
+    def stiffness(self, kind: str) -> tuple[StiffnessAt, ...]:
+        """Return k_n at the three speeds of one key of ``speeds``."""
+        pair = self.pairs[kind]
+        return stiffness_at(self.speeds[kind], self.scene.contact, pair.both, pair.numbers)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything, ready for JSON."""
+        return {
+            "model": self.model,
+            "begin": self.begin,
+            "end": self.end,
+            "enduring": None if self.enduring is None else asdict(self.enduring),
+            "impacts": {
+                kind: found.to_dict()
+                | {
+                    "between": list(self.pairs[kind].names),
+                    "calibrated_at": {"v_0": self.pairs[kind].contact.v_0, "k_n": self.pairs[kind].numbers.k_n},
+                    "k_n": [asdict(row) for row in self.stiffness(kind)],
+                }
+                for kind, found in self.speeds.items()
+            },
+        }
+
+
+def run_speeds(folder: Path) -> RunSpeeds:
+    """Return the impact speeds of the completed run in a model's folder, e.g. ``runs/wall_impact/linear``.
+
+    Raises
+    ------
+    ReadError, RunError
+        If there is no such run, or it did not complete.
+    InputError
+        If it has no record of impact speeds.
+    """
+    scene, _, _ = read_model_folder(folder)
+    try:
+        return _of_bed(folder) if isinstance(scene, BedScene) else _of_contacts(folder)
+    except InputError as error:
+        raise InputError(f"{folder}: {error}") from error
+
+
+def _of_bed(folder: Path) -> RunSpeeds:
+    from kncal.observe.averages import window_start
+    from kncal.runs.bed_workflow import load_bed_run
+    from kncal.scene.bed_planning import PARTICLES, WALLS, bed_pairs
+
+    data = load_bed_run(folder)
+    scene, series = data.model.scene, data.series
+    begin, _, doubt = window_start(series, scene.run.discard)
+    wall = scene.column.wall_material
+    materials = {PARTICLES: scene.particles.material.name, WALLS: "rigid" if wall is None else wall.name}
+    speeds = bed_impact_speeds(series, begin, doubt)
+    pairs = {
+        names[1]: MetPair(
+            names=names,
+            both=both,
+            numbers=numbers_of(
+                scene.contact,
+                scene.contact.exception((names[0], materials[names[0]]), (names[1], materials[names[1]])),
+            ),
+            contact=data.model.contacts[names],
+        )
+        for names, both in bed_pairs(scene).items()
+    }
+    return RunSpeeds(
+        scene=scene,
+        model=data.model.kind,
+        begin=begin,
+        end=float(series.t[-1]),
+        speeds=speeds,
+        pairs=pairs,
+        enduring=enduring(series, begin, pairs[PARTICLES].contact.t_c),
+    )
+
+
+def _of_contacts(folder: Path) -> RunSpeeds:
+    from kncal.runs.workflow import load_run
+    from kncal.scene.plan import pair_of, species_choices
+
+    data = load_run(folder)
+    scene, contacts = data.model.scene, [event for event in data.observations.contacts if event.v_in > 0.0]
+    bodies = {(a.name, b.name): (a, b) for a, b in scene.body_pairs()}
+    species, choices = data.model.species, species_choices(scene)
+    alike: dict[tuple[object, ...], list[ContactEvent]] = {}
+    for event in contacts:
+        contact = data.model.contacts[event.pair]
+        like = (contact.m_eff, contact.R_eff, contact.E_eff, choices[species.pair_of(event.pair)])
+        alike.setdefault(like, []).append(event)
+    groups = list(alike.values()) or [[]]
+    met = []
+    for names in [group[0].pair for group in groups if group] or list(bodies)[:1]:
+        a, b = bodies[names]
+        numbers, contact = choices[species.pair_of(names)], data.model.contacts[names]
+        met.append(MetPair(names=names, both=pair_of(a, b), numbers=numbers, contact=contact))
+    keys = [ALL] if len(met) == 1 else ["–".join(pair.names) for pair in met]
+    return RunSpeeds(
+        scene=scene,
+        model=data.model.kind,
+        begin=0.0,
+        end=data.model.t_end,
+        speeds={key: contact_impact_speeds(group) for key, group in zip(keys, groups, strict=True)},
+        pairs=dict(zip(keys, met, strict=True)),
+        enduring=None,
+    )

@@ -1,0 +1,300 @@
+"""Where the particles of a bed are at the start: a loose lattice, let down by LIGGGHTS, or given."""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import json
+import logging
+import math
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from datetime import timedelta
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from kncal.core.arrays import read_npz
+from kncal.core.awake import awake
+from kncal.core.checks import Array, one_of
+from kncal.core.errors import InputError, ReadError, RunError
+from kncal.core.scratch import replacing, scratch, sweep_parts
+from kncal.core.stopping import check_stop
+from kncal.engines.base import Progress
+from kncal.runs.resume import Tell
+from kncal.scene.bed_model import BedModel
+from kncal.scene.bed_scene import BedScene
+from kncal.scene.plan import MOST_STEPS
+
+if TYPE_CHECKING:
+    from kncal.engines.liggghts.library import LiggghtsDem
+
+PACKINGS = ("settled", "lattice", "given")
+#: Lattice spacing and the largest random offset on each axis, in diameters: 1.12 - 2 x 0.04 > 1, so none overlap.
+SPACING, OFFSET = 1.12, 0.04
+#: Settled: mean kinetic energy of a particle below this share of m g d, ...
+RESTING = 1e-5
+_MOST_BYTES = 1 << 27  # of a saved packing: a million particles take 24 MB
+#: ... with so many DEM steps per contact duration (or the model's, if those are fewer): forces in balance do not depend
+#: on the step, and a fall with impacts that are some per cent off ends in a packing like any other, ...
+SETTLING_STEPS = 10.0
+#: ... within so many times the fall from the lattice's height, sqrt(2 h/g).
+PATIENCE = 40.0
+_USUAL = 20  # looks from the end of the fall to rest: measured 12 to 37, for 500 and 3000 particles of e_n 0.5 to 0.97
+_PART = 4_000_000  # particles times steps between two words about progress: a second or two
+_LONG = 10.0  # s; how long it takes is said if it is more
+
+
+def lattice(scene: BedScene) -> Array:
+    """Return centres (n, 3) [m] on a loose cubic lattice with small random offsets, filled from the floor up.
+
+    No two particles touch, nor a wall. In a layer all are exactly in the middle plane.
+
+    Raises
+    ------
+    InputError
+        If the column is too small for them.
+    """
+    column, particles = scene.column, scene.particles
+    d, n = particles.diameter, particles.count
+    layer = column.front_back == "layer"
+    sides = [_Sites.of(column.width, d), _Sites.of(column.depth, d, periodic=column.front_back == "periodic")]
+    sides.append(_Sites.of(column.height, d))
+    if layer:
+        sides[1] = _Sites(1, 0.5 * column.depth, 0.0)
+    room = math.prod(side.number for side in sides)
+    if room < n:
+        raise InputError(
+            f"{scene.name}: a loose lattice of the column {column.width:g} x {column.depth:g} x {column.height:g} m "
+            f"has {room} places, the bed {n} particles: expected a larger column (height) or fewer particles"
+        )
+    # only the places that are taken: a large column has more of them than fit into memory
+    grid, rest = np.empty((n, 3)), np.arange(n)
+    for axis, side in enumerate(sides):
+        rest, place = np.divmod(rest, min(side.number, n))
+        grid[:, axis] = side.first + side.spacing * place
+    offset = np.random.default_rng(particles.seed).uniform(-OFFSET * d, OFFSET * d, (n, 3))
+    if layer:
+        offset[:, 1] = 0.0
+    return np.ascontiguousarray(grid + offset)
+
+
+class _Sites(NamedTuple):
+    """Lattice sites along one side: their number, the first [m] and the spacing [m]."""
+
+    number: int
+    first: float
+    spacing: float
+
+    @classmethod
+    def of(cls, length: float, d: float, *, periodic: bool = False) -> _Sites:
+        """Return the sites along a side of ``length`` [m], with the offset's room at both ends."""
+        if periodic:
+            number = math.floor(length / (SPACING * d))
+            first, spacing = 0.5 * length / max(number, 1), length / max(number, 1)
+        else:
+            free = length - (1.0 + 2.0 * OFFSET) * d
+            number = math.floor(free / (SPACING * d)) + 1 if free >= 0.0 else 0
+            first, spacing = (0.5 + OFFSET) * d, SPACING * d
+        return cls(number, first, spacing)
+
+
+def packing(
+    model: BedModel, cache_dir: Path | None = None, *, tell: Tell | None = None, progress: Progress | None = None
+) -> Array:
+    """Return where the particles of ``model.scene`` start, centres (n, 3) [m], row i for the particle with id i + 1.
+
+    "settled": the lattice falls under gravity in LIGGGHTS, with the linear contact of ``model``, until the mean kinetic
+    energy of a particle is below `RESTING` m g d, twice in a row.
+
+    Parameters
+    ----------
+    model : BedModel
+        The linear one, so that the linear and the Hertz run start alike.
+    cache_dir : Path, optional
+        Settled packings are kept there under a hash of all that they depend on, and taken from there.
+    tell : callable, optional
+        Called with a sentence about what is done if the particles are settled now, and how long it will take.
+    progress : callable, optional
+        Called while they settle with (steps done, steps that it takes in all as far as one can tell).
+
+    Raises
+    ------
+    InputError
+        If the column is too small, there is no gravity to settle under, or the model is not the linear one.
+    RunError
+        If LIGGGHTS fails, or the particles do not come to rest.
+    """
+    scene = model.scene
+    kind = one_of("packing", scene.particles.packing, PACKINGS)
+    if kind == "given":
+        return _given(scene)
+    start = lattice(scene)
+    if kind == "lattice":
+        return start
+    if model.kind != "linear":
+        raise InputError(f"{scene.name}: packing of the {model.kind!r} model, expected the linear one")
+    if scene.gravity <= 0.0:
+        raise InputError(f"{scene.name}: packing 'settled' without gravity: expected gravity > 0, or packing 'lattice'")
+    model = replace(model, dt=max(model.dt, min(c.t_c for c in model.contacts.values()) / SETTLING_STEPS))
+    if cache_dir is None:
+        return _settle(model, start, tell or _silent, progress)
+    cache_dir.mkdir(parents=True, exist_ok=True)
+    path = cache_dir / f"{_key(model, start)}.npz"
+    sweep_parts(cache_dir)
+    with _only_one(path):  # many runs of a sweep may want the same packing at once
+        kept = _load(path, scene)
+        if kept is not None:
+            return kept
+        settled = _settle(model, start, tell or _silent, progress)
+        _store(path, settled)
+        return settled
+
+
+@contextmanager
+def _only_one(path: Path) -> Iterator[None]:
+    """Hold the lock of a cached packing."""
+    with path.with_suffix(".lock").open("w") as lock:
+        while True:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                check_stop()
+                time.sleep(0.05)
+            else:
+                break
+        yield
+
+
+def _given(scene: BedScene) -> Array:
+    particles = scene.particles
+    positions = np.array(particles.positions, dtype=np.float64)
+    if positions.shape != (particles.count, 3) or not np.isfinite(positions).all():
+        raise InputError(
+            f"{scene.name}: positions of shape {positions.shape}: expected ({particles.count}, 3) finite numbers, "
+            "x, y, z for each particle"
+        )
+    return positions
+
+
+def _silent(_: str) -> None:
+    pass
+
+
+def _settle(model: BedModel, start: Array, tell: Tell, progress: Progress | None) -> Array:
+    from kncal.engines.liggghts.library import LiggghtsDem
+
+    scene = model.scene
+    d, g = scene.particles.diameter, scene.gravity
+    fall = math.sqrt(2.0 * float(start[:, 2].max()) / g)
+    if fall > MOST_STEPS * model.dt:
+        raise InputError(
+            f"{scene.name}: the particles fall for {fall:.3g} s until they are settled, {fall / model.dt:.3g} steps: "
+            f"expected at most {MOST_STEPS:.3g}; take more gravity, or packing 'lattice'"
+        )
+    chunk = max(1, round(math.sqrt(d / g) / model.dt))
+    looks = math.ceil(PATIENCE * fall / (chunk * model.dt))
+    nothing = np.zeros_like(start)
+    falling = math.ceil(fall / (chunk * model.dt))
+    quiet, shares = 0, [math.inf]
+    said = _Said(scene, chunk * (falling + _USUAL), model.dt, tell, progress)
+    with scratch() as folder, LiggghtsDem(model, folder, start) as dem:
+        said(chunk * (falling + _USUAL), 0, 0)
+        for look in range(looks):
+            total = chunk * (look + min(_looks_left(shares, falling), looks - look))
+            _run_in_parts(dem, chunk, nothing, partial(said, total, chunk * look))
+            x, v = dem.state()
+            share = float(0.5 * np.mean(np.sum(v * v, axis=1)) / (g * d))
+            shares.append(share)
+            quiet = quiet + 1 if share < RESTING else 0
+            if quiet == 2:
+                said(chunk * (look + 1), chunk * (look + 1), 0)
+                return x
+    raise RunError(
+        f"{scene.name}: the particles did not settle in {looks * chunk * model.dt:.3g} s: mean kinetic energy "
+        f"{share:.2g} m g d, expected below {RESTING:g}; take e_n below 1, a smaller time step, or packing 'lattice'"
+    )
+
+
+def _run_in_parts(dem: LiggghtsDem, steps: int, force: Array, told: Callable[[int], None]) -> None:
+    """Run ``steps`` in parts of a few seconds, and tell after each how many are done."""
+    part, done = max(1, _PART // len(force)), 0
+    while done < steps:
+        check_stop()
+        number = min(part, steps - done)
+        dem.run(number, force)
+        done += number
+        told(done)
+
+
+def _looks_left(shares: list[float], falling: int) -> int:
+    """Return after how many more looks the particles will be at rest, by how their energy has decayed since the fall.
+
+    ``shares``: the energy at each look so far; ``falling``: looks that the fall takes.
+    """
+    done = len(shares) - 1
+    usual = max(falling + _USUAL - done, 2)
+    since = shares[falling + 1 :]
+    if len(since) < 3 or not 0.0 < since[-1] < since[0]:
+        return usual
+    decay = math.log(since[0] / since[-1]) / (len(since) - 1)
+    return max(math.ceil(math.log(max(since[-1] / RESTING, 1.0)) / decay) + 1, 1)
+
+
+class _Said:
+    """Says what is done and, after the first steps, how long it will take."""
+
+    def __init__(self, scene: BedScene, steps: int, dt: float, tell: Tell, progress: Progress | None) -> None:
+        self._tell, self._progress = tell, progress
+        tell(
+            f"packing: {scene.particles.count} particles settle in LIGGGHTS before the run, about {steps:.2g} steps of "
+            f"{dt:.3g} s; the packing is kept for other runs of this bed (without: particles.packing = 'lattice')"
+        )
+        self._began: float | None = None
+
+    def __call__(self, total: int, before: int, now: int) -> None:
+        """Take note of ``before`` + ``now`` steps of ``total``."""
+        done = before + now
+        if self._progress is not None:
+            self._progress(done, total)
+        if self._began is not None:
+            seconds = (awake() - self._began) * (total - done) / done
+            if seconds > _LONG:
+                self._tell(f"packing: that will take about {timedelta(seconds=round(seconds))}")
+        self._began = awake() if done == 0 else None
+
+
+def _key(model: BedModel, start: Array) -> str:
+    """Return a hash of all that a settled packing depends on."""
+    from kncal.engines.liggghts.bed_deck import data_text, deck_text
+
+    inputs = [deck_text(model), data_text(model.scene, start), RESTING, PATIENCE]
+    return hashlib.sha256(json.dumps(inputs).encode()).hexdigest()
+
+
+def _store(path: Path, positions: Array) -> None:
+    """Write beside ``path`` and move into place: others find no file, or a whole one."""
+    with replacing(path) as file:
+        np.savez(file, positions=positions)
+
+
+def _load(path: Path, scene: BedScene) -> Array | None:
+    """Return the kept packing; None, with a warning, if the file is damaged: then it is made anew."""
+    if not os.path.lexists(path):
+        return None
+    count, column = scene.particles.count, scene.column
+    try:
+        positions = np.asarray(read_npz(path, _MOST_BYTES)["positions"], dtype=np.float64)
+        if positions.shape != (count, 3):
+            raise ReadError(f"shape {positions.shape}, expected ({count}, 3)")
+        if not ((positions >= 0.0) & (positions <= [column.width, column.depth, column.height])).all():
+            raise ReadError("positions outside the column")
+    except (ReadError, KeyError) as error:
+        logging.getLogger("kncal").warning("%s: damaged (%s); the packing is made anew", path, error)
+        return None
+    return positions

@@ -1,0 +1,171 @@
+"""From what a case says about one pair to the numbers of its contact: shared by single contacts and beds."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+from kncal.core.errors import CaseFileError
+from kncal.physics.calibration import Calibration, calibrate
+from kncal.physics.impact import dimensionless_impact
+from kncal.physics.laws.registry import get_law
+from kncal.physics.material import Pair
+from kncal.physics.timestep import contact_time
+from kncal.scene.model import PairContact
+from kncal.scene.scene import ContactChoice, PairChoice
+
+
+class PairNumbers(NamedTuple):
+    """What the case says about one pair: e_n [-], friction [-], v_0 [m/s] and k_n [N/m] where prescribed."""
+
+    e_n: float
+    friction: float
+    v_0: float | None
+    k_n: float | None
+
+
+class Rest(NamedTuple):
+    """What a pair is pressed together by without any impact: ``overlap`` at t = 0 [m] and ``load`` [N]."""
+
+    overlap: float
+    load: float
+
+
+def numbers_of(contact: ContactChoice, exception: PairChoice | None) -> PairNumbers:
+    """Return the numbers of one pair: the case's choice, or what its exception says instead.
+
+    Raises
+    ------
+    CaseFileError
+        If the impact speed is still to be measured.
+    """
+    if contact.measured is not None:
+        raise CaseFileError(
+            'contact.v_0 = "measured": a speed that is still to be measured; kncal kn, render, run and compare of the '
+            "case measure it first: here expected a number [m/s], such as the one that kncal kn of the case ends with"
+        )
+    e_n, friction, v_0, k_n = contact.e_n, contact.friction, contact.v_0, contact.k_n
+    if exception is not None:
+        e_n = e_n if exception.e_n is None else exception.e_n
+        friction = friction if exception.friction is None else exception.friction
+        v_0 = v_0 if exception.v_0 is None else exception.v_0
+        k_n = k_n if exception.k_n is None else exception.k_n
+    return PairNumbers(e_n, friction, v_0, k_n)
+
+
+def calibration_for(contact: ContactChoice, both: Pair, numbers: PairNumbers) -> Calibration | None:
+    """Return the calibration of one pair, or None where the case prescribes k_n without an impact speed."""
+    e_n, _, v_0, k_n = numbers
+    if v_0 is None:
+        return None
+    if k_n is not None:
+        # A prescribed stiffness is a contact of the duration that this stiffness gives.
+        t_c = contact_time(k_n, both.m_eff, e_n, contact.end)
+        return calibrate(both, v_0=v_0, e_n=e_n, law=contact.law, method="contact_time", end=contact.end, t_c=t_c)
+    return calibrate(
+        both, v_0=v_0, e_n=e_n, law=contact.law, method=contact.method, end=contact.end, **contact.method_options
+    )
+
+
+def resting_time(both: Pair, rest: Rest, scene: str, names: str) -> float:
+    """Half period of a small oscillation of a Hertz contact about its resting overlap [s].
+
+    That is the start overlap, or what ``load`` presses together: pi sqrt(m_eff/(1.5 k_h sqrt(delta))), from the
+    tangent of k_h delta^1.5. ``scene`` and ``names`` (of the two bodies) are for the error.
+
+    Raises
+    ------
+    CaseFileError
+        If nothing presses the two together.
+    """
+    k_h, m_eff = float(both.k_h), float(both.m_eff)
+    delta = max(rest.overlap, (rest.load / k_h) ** (2.0 / 3.0))
+    if delta <= 0.0:
+        raise CaseFileError(
+            f"{scene}: no speed, no overlap and no gravity between {names} to choose a time "
+            "step from: expected contact.v_0 [m/s]"
+        )
+    return math.pi * math.sqrt(m_eff / (1.5 * k_h * math.sqrt(delta)))
+
+
+def pair_contact(
+    contact: ContactChoice, both: Pair, numbers: PairNumbers, kind: str, rest: Rest, *, scene: str, names: str
+) -> PairContact:
+    """Return the contact of one pair in the model ``kind``, "linear" or "hertz".
+
+    Parameters
+    ----------
+    contact : the case's choice; ``numbers`` of this pair (`numbers_of`)
+    both : Pair
+    rest : for the duration of a Hertz contact without an impact speed, or of bodies pressed together from the start
+    scene, names : of the scene and of the two bodies ("'one' and 'other'"), for messages
+
+    Raises
+    ------
+    CaseFileError
+        If the hertz model has no reference law of that kind, or its damping or duration needs an impact speed.
+    """
+    e_n, friction, v_0, k_n = numbers
+    calibration = calibration_for(contact, both, numbers)
+    m_eff, E_eff, R_eff, G_eff = (float(x) for x in (both.m_eff, both.E_eff, both.R_eff, both.G_eff))
+    ratio = contact.k_t_ratio
+    if kind == "linear":
+        stiffness = k_n if k_n is not None else float(calibration.k_n)  # type: ignore[union-attr]
+        t_c = float(contact_time(stiffness, m_eff, e_n, contact.end))
+        delta_max = None if calibration is None else float(calibration.delta_max)
+        law, n, p = "linear", 1.0, 0.0
+        c = float(dimensionless_impact("linear", e_n, contact.end).C) * math.sqrt(stiffness * m_eff)
+        k_t = stiffness * float(both.k_t_ratio if ratio is None else ratio)
+    else:
+        reference = get_law(contact.law)
+        if reference.stiffness_exponent == 1.0:
+            raise CaseFileError(
+                f"{scene}: contact.law = {reference.name!r}: expected a Hertz-type reference law for the "
+                "hertz run (tsuji, hertz, kuwabara_kono, hunt_crossley)"
+            )
+        stiffness, law, n = float(both.k_h), reference.name, 1.5
+        p = reference.damping_exponent or 0.0
+        speed = v_0 if v_0 is not None else 1.0
+        length = (m_eff * speed**2 / stiffness) ** 0.4
+        C = float(dimensionless_impact(reference, 1.0 if law == "hertz" else e_n, contact.end).C)
+        if v_0 is None and reference.e_depends_on_speed:
+            raise CaseFileError(f"{scene}: law {law!r} needs contact.v_0 [m/s], since its e_n depends on the speed")
+        c = C * m_eff * speed / length ** (p + 1.0)
+        if calibration is None:
+            t_c, delta_max = resting_time(both, rest, scene, names), None
+        else:
+            t_c, delta_max = float(calibration.reference.t_c), float(calibration.reference.delta_max)
+            if rest.overlap > delta_max:
+                # pressed together harder than an impact at v_0 would: stiffer, so shorter
+                t_c = min(t_c, resting_time(both, rest, scene, names))
+        k_t = 8.0 * G_eff * math.sqrt(R_eff)
+    return PairContact(
+        law=law,
+        k=stiffness,
+        n=n,
+        c=c,
+        p=p,
+        end=contact.end,
+        e_n=e_n if law != "hertz" else 1.0,
+        v_0=v_0,
+        t_c=t_c,
+        delta_max=delta_max,
+        m_eff=m_eff,
+        R_eff=R_eff,
+        E_eff=E_eff,
+        G_eff=G_eff,
+        friction=friction,
+        rolling_friction=contact.rolling_friction,
+        k_t=k_t,
+        warnings={} if calibration is None else {w.code: str(w) for w in calibration.warnings},
+    )
+
+
+def smooth(contact: PairContact, *, tangential: bool, rolling: bool) -> PairContact:
+    """Return the contact without the friction that a scene doesn't need."""
+    return replace(
+        contact,
+        friction=contact.friction if tangential else 0.0,
+        rolling_friction=contact.rolling_friction if rolling else 0.0,
+    )

@@ -1,0 +1,129 @@
+"""What theory says about the largest stable step: the bound that kncal advises by, and the limit of one arrangement."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kncal.core.checks import Array
+from kncal.core.errors import InputError
+from kncal.physics.material import sphere_mass
+from kncal.physics.timestep import verlet_limit
+from kncal.scene.model import Model, PairContact
+from kncal.scene.scene import AXES, Wall
+
+#: A spectral radius of one is found but for rounding: double eigenvalues (free motion) are split by sqrt(1e-16).
+_ROUNDING = 1e-6
+#: Halvings of an interval of two decades: to a part in 1e9.
+_HALVINGS = 36
+
+
+@dataclass(frozen=True, kw_only=True)
+class Touching:
+    """One contact of a model at t = 0, linearised about its overlap.
+
+    Attributes
+    ----------
+    first, second : indices of the particles; ``second`` is None at a wall
+    normal : (3,) unit vector from the second body to the first
+    stiffness, damping : tangent of the normal force [N/m], [N s/m]
+    m_eff : [kg]
+    """
+
+    first: int
+    second: int | None
+    normal: Array
+    stiffness: float
+    damping: float
+    m_eff: float
+
+
+def touching(model: Model) -> list[Touching]:
+    """Return the contacts of a model at t = 0."""
+    index = {p.name: i for i, p in enumerate(model.scene.particles)}
+    found = []
+    for a, b in model.scene.body_pairs():
+        c = model.contacts[a.name, b.name]
+        if isinstance(b, Wall):
+            axis = AXES.index(b.axis)
+            n = np.zeros(3)
+            n[axis] = 1.0 if a.position[axis] > b.position else -1.0
+            delta, second = a.radius - abs(a.position[axis] - b.position), None
+        else:
+            d = np.subtract(a.position, b.position)
+            length = float(np.linalg.norm(d))
+            delta, n, second = a.radius + b.radius - length, d / length, index[b.name]
+        if delta > 0.0:
+            k, eta = tangent(c, delta)
+            found.append(
+                Touching(first=index[a.name], second=second, normal=n, stiffness=k, damping=eta, m_eff=c.m_eff)
+            )
+    return found
+
+
+def tangent(contact: PairContact, delta: float) -> tuple[float, float]:
+    """Return the stiffness [N/m] and the damping [N s/m] of a contact at an overlap [m]."""
+    return contact.n * contact.k * delta ** (contact.n - 1.0), contact.c * delta**contact.p
+
+
+def advised_limit(model: Model, contacts: float) -> float:
+    """Return the largest step [s] that `kncal.physics.timestep.verlet_limit` allows, for the contacts there at t = 0.
+
+    Raises
+    ------
+    InputError
+        If nothing touches.
+    """
+    there = touching(model)
+    if not there:
+        raise InputError(f"{model.scene.name}: nothing touches at t = 0: expected a pressed scene")
+    return min(float(verlet_limit(t.stiffness, t.m_eff, t.damping, contacts)) for t in there)
+
+
+def impact_limit(model: Model, contacts: float = 1.0) -> float:
+    """Return the same for all contacts of a scene, at the largest overlap of an impact at v_0 [s]."""
+    numbers = [(*tangent(c, c.delta_max), c.m_eff) for c in model.contacts.values() if c.delta_max]
+    if not numbers:
+        raise InputError(f"{model.scene.name}: no contact has an impact speed: expected contact.v_0 [m/s]")
+    return min(float(verlet_limit(k, m, eta, contacts)) for k, eta, m in numbers)
+
+
+def arrangement_limit(model: Model) -> float:
+    """Return the largest stable step [s] of the contacts there at t = 0, linearised, in this very arrangement.
+
+    The iteration v' = v - dt M^-1 (K x + D v), x' = x + dt v' (velocity Verlet with damping from half-step velocities)
+    is stable as long as no eigenvalue of its matrix is larger than one. K and D are those of normal springs and
+    dashpots; the sideways weakening by the load itself, of the order overlap over diameter, is left out.
+
+    Raises
+    ------
+    InputError
+        If nothing touches.
+    """
+    there = touching(model)
+    guess = advised_limit(model, 1.0)
+    size = 3 * len(model.scene.particles)
+    K, D = np.zeros((size, size)), np.zeros((size, size))
+    for t in there:
+        way = np.zeros(size)
+        way[3 * t.first : 3 * t.first + 3] = t.normal
+        if t.second is not None:
+            way[3 * t.second : 3 * t.second + 3] = -t.normal
+        K += t.stiffness * np.outer(way, way)
+        D += t.damping * np.outer(way, way)
+    m = np.repeat([float(sphere_mass(p.material, p.radius)) for p in model.scene.particles], 3)
+    low, high = 0.05 * guess, 5.0 * guess
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if _radius(K, D, m, middle) <= 1.0 + _ROUNDING else (low, middle)
+    return low
+
+
+def _radius(K: Array, D: Array, m: Array, dt: float) -> float:
+    """Spectral radius of one step; x in units of dt v."""
+    size = len(m)
+    a = -(dt**2) * K / m[:, None]
+    b = np.eye(size) - dt * D / m[:, None]
+    step = np.block([[np.eye(size) + a, b], [a, b]])
+    return float(np.abs(np.linalg.eigvals(step)).max())

@@ -1,0 +1,238 @@
+"""The error of a run of single contacts against the reference run, and where it comes from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+from kncal.observe.compare import RunData
+from kncal.observe.difference import PATHS, Difference, Side, difference, metric_names, path_difference
+from kncal.observe.truth import exact_metrics, exact_motion, predicted_errors
+from kncal.scene.metrics import metric_unit, split_metric
+from kncal.study.trade.base import Convergence, ErrorSplit, MetricError, Part
+
+#: From one N to the next, orders of convergence between these are believed: velocity Verlet is of second order, at a
+#: force that jumps at touch (a damped contact) of first.
+ORDERS = (1.0, 2.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reference:
+    """The run that all others are compared with.
+
+    Attributes
+    ----------
+    run : RunData
+    until : paths are compared up to this time [s], None: the whole run
+    contacts : contacts 1 to this number count, None: all
+    left : metric -> what is left of its discretisation error [-]
+    """
+
+    run: RunData
+    until: float | None = None
+    contacts: int | None = None
+    left: Mapping[str, float] = field(default_factory=dict)
+
+    def names(self, more: tuple[str, ...] = ()) -> tuple[str, ...]:
+        """Return the metrics that the reference has (and ``more``), those of `PATHS` last."""
+        names = [n for n in metric_names(self.run, self.run, more) if n in more or self._counts(n)]
+        return (*names, *PATHS)
+
+    def _counts(self, name: str) -> bool:
+        return self.contacts is None or split_metric(name)[1] <= self.contacts
+
+    def differences(self, run: RunData, more: tuple[str, ...] = ()) -> dict[str, Difference]:
+        """Return the differences of ``run`` from the reference, metric by metric."""
+        sides = Side("candidate", run), Side("reference", self.run)
+        paths = {row.metric: row for row in path_difference(run.trajectory, self.run.trajectory, self.until).rows}
+        return {name: paths[name] if name in PATHS else difference(name, *sides) for name in self.names(more)}
+
+    def step(self, name: str, scale: float, a: RunData, b: RunData) -> float | None:
+        """Return how far ``a`` is from ``b`` in one metric, by ``scale`` (of the reference) [-]; None: not known."""
+        if name in PATHS:
+            rows = path_difference(a.trajectory, b.trajectory, self.until).rows
+            (row,) = (row for row in rows if row.metric == name)
+            return None if row.difference is None or row.scale is None else row.difference * row.scale / scale
+        value, other = (data.observations.metrics.get(name) for data in (a, b))
+        return None if value is None or other is None else (value - other) / scale
+
+
+def metric_errors(
+    reference: Reference,
+    run: RunData,
+    converged: RunData | None,
+    worst: Mapping[str, float],
+    more: tuple[str, ...] = (),
+) -> dict[str, MetricError]:
+    """Return the error of every metric with its uncertainty.
+
+    The uncertainty is what is left of the reference's own discretisation error, plus what another sub-step phase of
+    the first touch could add: a run sees one phase, and may be lucky. It goes up to the error of the converged contact
+    plus the worst discretisation error over all phases.
+
+    Parameters
+    ----------
+    reference, run : what is compared
+    converged : the same contact, converged in N; None: not known
+    worst : metric -> predicted worst relative discretisation error at the run's N [-]
+    more : metrics that are asked for, besides those that the reference has
+    """
+    found = {}
+    there = {} if converged is None else reference.differences(converged, more)
+    for name, row in reference.differences(run, more).items():
+        width = None
+        reason = row.reason
+        if row.difference is not None and row.scale is not None:
+            width = reference.left.get(name, 0.0)
+            phase = _phase(name, row, run, worst, reference.until)
+            if phase is not None:
+                base = there[name].difference if name in there else None
+                width += max(0.0, (0.0 if base is None else abs(base)) + phase - abs(row.difference))
+        found[name] = MetricError(
+            metric=name,
+            unit=metric_unit(name),
+            value=row.value,
+            reference=row.reference,
+            error=row.difference,
+            uncertainty=width,
+            basis=row.basis,
+            reason=reason,
+        )
+    return found
+
+
+def _phase(name: str, row: Difference, run: RunData, worst: Mapping[str, float], until: float | None) -> float | None:
+    """Return what another sub-step phase of the contacts could add to a difference, by its scale; None: not known.
+
+    Paths: a leaving speed v that is wrong by a share e makes the way (and all later flights) wrong by e in time, so
+    the body is elsewhere by up to e v times the time left.
+    """
+    if row.scale is None:
+        return None
+    if name not in PATHS:
+        return None if name not in worst or row.value is None else worst[name] * abs(row.value) / row.scale
+    if "e_n" not in worst:
+        return None
+    end = run.model.t_end if until is None else until
+    left = ((c.v_out or 0.0) * max(end - c.t_start - c.t_c, 0.0) for c in run.observations.contacts)
+    return worst["e_n"] * sum(left) / row.scale
+
+
+def split_errors(
+    reference: Reference,
+    run: RunData,
+    converged: RunData | None,
+    unsoftened: RunData | None,
+    worst: Mapping[str, Mapping[str, float]],
+    more: tuple[str, ...] = (),
+) -> tuple[ErrorSplit, ...]:
+    """Split the error of every metric by changing one thing at a time.
+
+    Discretisation: the run against the same contact converged in N. Softness: that against the same model unsoftened,
+    converged. Model: the unsoftened linear contact against the reference. Differences of a number add up exactly;
+    distances of paths don't, and what is left over is their interaction.
+
+    Parameters
+    ----------
+    reference, run : as of `metric_errors`
+    converged : the same contact, converged in N; None: not known
+    unsoftened : the same model unsoftened, converged; None: not known (of Hertz, give the reference's run)
+    worst : "linear" and "hertz" -> metric -> predicted worst relative discretisation error of converged runs [-]
+    """
+    splits = []
+    for name, total in reference.differences(run, more).items():
+        if total.difference is None or total.scale is None:
+            continue
+        scale, left = total.scale, reference.left.get(name, 0.0)
+
+        def bound(data: RunData, name: str = name, scale: float = scale, left: float = left) -> float:
+            value, share = data.observations.metrics.get(name), worst.get(data.model.kind, {}).get(name)
+            own = data is reference.run or value is None or share is None
+            return left if own else float(share or 0.0) * abs(value or 0.0) / scale
+
+        parts: dict[str, Part | None] = {"discretisation": None, "softness": None, "model": None}
+        missing = []
+        hertz = run.model.kind == "hertz"
+        pairs: dict[str, tuple[RunData | None, RunData | None]] = {
+            "discretisation": (run, converged),
+            "softness": (converged, unsoftened),
+        }
+        if not hertz:
+            pairs["model"] = (unsoftened, reference.run)
+        for what, (a, b) in pairs.items():
+            value = None if a is None or b is None else reference.step(name, scale, a, b)
+            if value is None or a is None or b is None:
+                missing.append(what)
+                continue
+            width = sum(bound(data) for data in {id(d): d for d in (a, b)}.values() if data is not run)
+            parts[what] = Part(value=value, uncertainty=0.0 if a is b else width)
+        known = [part.value for part in parts.values() if part is not None]
+        splits.append(
+            ErrorSplit(
+                metric=name,
+                total=Part(value=total.difference, uncertainty=left),
+                interaction=None if missing else total.difference - math.fsum(known),
+                missing=tuple(missing),
+                **parts,
+            )
+        )
+    return tuple(splits)
+
+
+def worst_errors(run: RunData) -> Mapping[str, float]:
+    """Return metric -> predicted worst relative discretisation error of a run over all sub-step phases [-]."""
+    return predicted_errors(run.model, run.observations)
+
+
+def converge(
+    runs: Mapping[float, RunData],
+    tolerances: Mapping[str, float],
+    threshold: float,
+    until: float | None,
+    contacts: int | None,
+) -> Convergence:
+    """Judge runs of one contact at growing N: how far each metric moved to the last, and what is left.
+
+    What is left is by Richardson: the last move over 2^p - 1, with the order p from the last two moves (between 1 and
+    2, else 1), or the distance to the exact solution where there is one and that is farther.
+
+    Parameters
+    ----------
+    runs : N -> run, N doubled from one to the next
+    tolerances : the metrics that decide; empty: all
+    threshold : what none of them may move by, or have left [-]
+    until, contacts : as of `Reference`
+    """
+    steps = sorted(runs)
+    last = Reference(run=runs[steps[-1]], until=until, contacts=contacts)
+    names = last.names()
+    values = {n: tuple(runs[s].observations.metrics.get(n) for s in steps) for n in names if n not in PATHS}
+    left: dict[str, float] = {}
+    motion = exact_motion(last.run.model)
+    # without a whole exact motion there are closed forms of limits, which a run need not converge to
+    exact = {} if motion is None else exact_metrics(last.run.model, motion) or {}
+    moves: dict[str, list[float | None]] = {name: [] for name in names}
+    for a, b in pairwise(steps):
+        for name, row in last.differences(runs[a]).items():
+            scale = row.scale
+            moves[name].append(None if scale is None else last.step(name, scale, runs[b], runs[a]))
+    for name, row in last.differences(last.run).items():
+        known = [abs(move) for move in moves[name] if move is not None]
+        if row.scale is None or not known:
+            continue
+        order = math.log2(known[-2] / known[-1]) if len(known) > 1 and 0.0 < known[-1] < known[-2] else ORDERS[0]
+        left[name] = known[-1] / (2.0 ** min(max(order, ORDERS[0]), ORDERS[1]) - 1.0)
+        if name in exact and row.value is not None:
+            left[name] = max(left[name], abs(row.value - exact[name]) / row.scale)
+    asked = [name for name in (tolerances or names) if name in names]
+    small = [name in left and max(left[name], abs(moves[name][-1] or 0.0)) <= threshold for name in asked]
+    return Convergence(
+        steps_per_contact=tuple(steps),
+        values=values,
+        chosen=steps[-1],
+        left=left,
+        threshold=threshold,
+        converged=len(steps) > 1 and all(small),
+    )

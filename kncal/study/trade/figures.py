@@ -1,0 +1,275 @@
+"""The figures of a trade: the Pareto front, where the error comes from, the law of cost."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kncal.report.figures import Figure
+from kncal.report.plots import STYLES, new_axes, save
+from kncal.study.trade.base import ErrorSplit, Trade, TradePoint
+from kncal.study.trade.cost_law import LAW, Law
+from kncal.study.trade.front import Conclusion, cost, worst_ratio
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+#: Part of an error -> (colour, dashes, text).
+_PARTS: Mapping[str, tuple[str, Any, str]] = {
+    "softness": ("#0072B2", "-", "softness (k_n or modulus)"),
+    "model": ("#D55E00", (0, (5, 2)), "model (linear against Hertz)"),
+}
+#: Markers of the discretisation at each N.
+_MARKS = ("o", "s", "^", "D", "v", "P")
+#: Panels of the figure of the split.
+_MOST_METRICS = 3
+#: A zero on a logarithmic axis is drawn here: below it nothing matters.
+_FLOOR = 1e-6
+
+
+def draw_trade_figures(trade: Trade, conclusion: Conclusion, laws: Sequence[Law], folder: Path) -> tuple[Figure, ...]:
+    """Write every figure that the data allow into ``folder``, as PNG and SVG."""
+    figures = []
+    fixed, rounds = ("gas and exchange", "parts") if trade.bed else ("the start of the solver", "rounds")
+
+    def add(name: str, ax: Axes | None, caption: str, alt: str) -> None:
+        if ax is not None:
+            png, svg = save(ax, folder, name)
+            figures.append(Figure(name=name, png=png.name, svg=svg.name, caption=caption, alt=alt))
+
+    add(
+        "front",
+        front(trade, conclusion),
+        "Each point is one contact at one number of steps per contact; its height is what the worst error over its "
+        "tolerance may be, the thin bar goes down to what was seen. Below the line at 1 all are surely within. Nothing "
+        "beats the points on the grey line.",
+        "Largest error over tolerance against cost, with the Pareto front.",
+    )
+    add(
+        "split",
+        split(trade),
+        "Where the error comes from, each part measured by changing one thing: against the factor of k_n or of the "
+        "modulus (softness), for linear against Hertz (model), and for each number of steps per contact "
+        "(discretisation: one line each). The dashed grey line is the tolerance.",
+        "Parts of the error against the factor of the stiffness.",
+    )
+    add(
+        "law",
+        law(laws),
+        "Cost against stiffness at one number of steps per contact: the steps follow k_n^(1/2) (grey); the CPU time "
+        f"does so where the steps outweigh {fixed}. Bars: smallest and largest of the {rounds}.",
+        "Steps and CPU time against stiffness.",
+    )
+    return tuple(figures)
+
+
+def front(trade: Trade, conclusion: Conclusion) -> Axes | None:
+    """Worst error/tolerance against cost, with the front; None without a point."""
+    ax = new_axes(7.2, 4.8)
+    names = {p.candidate.name: p for p in trade.points if p.completed}
+    drawn = False
+    for model in ("linear", "hertz"):
+        ours = [p for p in names.values() if p.candidate.model == model and cost(trade, p) is not None]
+        ours = [p for p in ours if worst_ratio(p, trade.tolerances) < math.inf]
+        if not ours:
+            continue
+        drawn = True
+        x = [cost(trade, p) or 0.0 for p in ours]
+        y = [max(worst_ratio(p, trade.tolerances), _FLOOR) for p in ours]
+        down = [ratio - max(min(_seen(p, trade), ratio), _FLOOR) for p, ratio in zip(ours, y, strict=True)]
+        style = STYLES[model]
+        ax.errorbar(
+            x,
+            y,
+            yerr=np.array([down, np.zeros(len(y))]),
+            fmt=style["marker"],
+            color=style["color"],
+            markersize=4.5,
+            elinewidth=0.7,
+            alpha=0.85,
+            label={"linear": "linear", "hertz": "Hertz"}[model],
+        )
+    if not drawn:
+        return None
+    on = [names[name] for name in conclusion.front]
+    ax.plot(
+        [cost(trade, p) or 0.0 for p in on],
+        [max(worst_ratio(p, trade.tolerances), _FLOOR) for p in on],
+        color="0.6",
+        linewidth=1.2,
+        drawstyle="steps-post",
+        zorder=0,
+        label="front",
+    )
+    if conclusion.chosen is not None:
+        x_0, y_0 = cost(trade, conclusion.chosen) or 0.0, worst_ratio(conclusion.chosen, trade.tolerances)
+        ax.plot([x_0], [max(y_0, _FLOOR)], "o", markersize=13, markerfacecolor="none", color="k", label="chosen")
+    ax.axhline(1.0, color="0.3", linewidth=1.0, linestyle=(0, (2, 2)), label="tolerance")
+    _log(ax)
+    ax.set_xlabel("CPU time [s]" if trade.bed else "steps [–]")
+    ax.set_ylabel("(|error| + uncertainty) / tolerance [–]")
+    _dress(ax)
+    return ax
+
+
+def _seen(point: TradePoint, trade: Trade) -> float:
+    """Largest abs(error)/tolerance as measured, without the uncertainty."""
+    errors = [(point.errors[metric].error, limit) for metric, limit in trade.tolerances.items()]
+    return max(abs(error) / limit for error, limit in errors if error is not None)
+
+
+def split(trade: Trade) -> Axes | None:
+    """Parts of the error against the factor of the stiffness: a panel per model and judged metric."""
+    from matplotlib.figure import Figure as Canvas
+
+    # those with a panel: the metrics that a tolerance judges and a split is known of, the tightest first
+    known = {s.metric for splits in trade.splits.values() for s in splits}
+    metrics = sorted((m for m in trade.tolerances if m in known), key=lambda m: trade.tolerances[m])[:_MOST_METRICS]
+    models = [m for m in ("linear", "hertz") if any(p.candidate.model == m for p in trade.points)]
+    if not metrics or not models:
+        return None
+    canvas = Canvas(figsize=(3.4 * len(metrics), 2.9 * len(models) + 0.5), layout="constrained")
+    axes = canvas.subplots(len(models), len(metrics), squeeze=False, sharex=True)
+    for row, model in enumerate(models):
+        for column, metric in enumerate(metrics):
+            ax = axes[row][column]
+            _split_panel(ax, trade, model, metric)
+            ax.set_title(f"{metric}, {'linear' if model == 'linear' else 'Hertz'}", fontsize=9.5, loc="left")
+            if row == len(models) - 1:
+                ax.set_xlabel("factor of k_n or of the modulus [–]", fontsize=9)
+        axes[row][0].set_ylabel("|part of the error| [–]", fontsize=9)
+    lines: dict[str, Any] = {}
+    for ax in axes.flat:
+        for line, text in zip(*ax.get_legend_handles_labels(), strict=True):
+            lines.setdefault(text, line)
+    canvas.legend(
+        lines.values(), lines.keys(), loc="outside upper left", ncols=len(metrics) + 1, frameon=False, fontsize=8
+    )
+    first: Axes = axes[0][0]
+    return first
+
+
+def _split_panel(ax: Axes, trade: Trade, model: str, metric: str) -> None:
+    by_factor = ("softened", "reduced_modulus")
+    ours = [
+        (p.candidate.factor, p.candidate.steps_per_contact, s)
+        for p in trade.points
+        if p.candidate.model == model and p.candidate.factor is not None
+        if p.candidate.how in by_factor or p.candidate.factor == 1.0
+        for s in trade.splits.get(p.candidate.name, ())
+        if s.metric == metric
+    ]
+
+    def draw(name: str, n: float | None, **style: Any) -> None:
+        values = {f: _size(s, name) for f, steps, s in ours if (n is None or steps == n)}
+        # a part that is zero (the unsoftened contact is not softer) has no place on a logarithmic axis
+        x = sorted(f for f, value in values.items() if value is not None and value > _FLOOR)
+        if x:
+            ax.plot(x, [values[f] or 0.0 for f in x], linewidth=1.5, markersize=4, **style)
+
+    for name, (colour, dashes, text) in _PARTS.items():
+        draw(name, None, color=colour, linestyle=dashes, marker="o", label=text)
+    for k, n in enumerate(sorted({n for _, n, _ in ours})):
+        mark, dashes = _MARKS[k % len(_MARKS)], (0, (1, 1.5))
+        text = f"discretisation, N = {n:g}"
+        draw("discretisation", n, color="#009E73", linestyle=dashes, marker=mark, label=text, markerfacecolor="white")
+    ax.axhline(trade.tolerances[metric], color="0.4", linewidth=1.0, linestyle=(0, (2, 2)), label="tolerance")
+    _log(ax)
+    ax.margins(x=0.14)
+    _plain(ax)
+    ax.tick_params(labelsize=8)
+
+
+def _size(found: ErrorSplit, part: str) -> float | None:
+    value = getattr(found, part)
+    return None if value is None else abs(value.value)
+
+
+def law(laws: Sequence[Law]) -> Axes | None:
+    """Steps and CPU time against stiffness, with the law; None without a family."""
+    from matplotlib.figure import Figure as Canvas
+
+    if not laws:
+        return None
+    canvas = Canvas(figsize=(8.4, 3.9), layout="constrained")
+    left, right = canvas.subplots(1, 2)
+    lines: dict[str, Any] = {}
+    for found in laws:
+        style = STYLES[found.family]
+        text = f"{'linear' if found.family == 'linear' else 'Hertz'}, N = {found.steps_per_contact:g}"
+        k = np.asarray(found.k_n)
+        left.plot(k, found.steps, style["marker"], color=style["color"], markersize=5, label=text)
+        cpu = np.asarray(found.cpu_seconds)
+        timed = np.isfinite(cpu)
+        if timed.any():
+            spread = np.abs(np.asarray(found.cpu_range)[timed].T - cpu[timed])
+            right.errorbar(
+                k[timed],
+                cpu[timed],
+                yerr=spread,
+                fmt=style["marker"],
+                color=style["color"],
+                markersize=5,
+                elinewidth=0.8,
+                label=text,
+            )
+        if found.fit is not None:
+            order = np.argsort(k)
+            steps = np.asarray(found.steps, dtype=np.float64)
+            right.plot(
+                k[order],
+                (found.fit.start.value + found.fit.per_step.value * steps)[order],
+                color=style["color"],
+                linewidth=1.0,
+                linestyle=style["linestyle"],
+                label=f"{text}: {'gas + steps' if found.bed else 'start + steps'}",
+            )
+    k = np.asarray(laws[0].k_n)
+    middle = len(k) // 2
+    left.plot(
+        k, laws[0].steps[middle] * (k / k[middle]) ** LAW, color="0.6", linewidth=1.0, zorder=0, label="k_n^(1/2)"
+    )
+    for ax, label in ((left, "steps [–]"), (right, "CPU time [s]")):
+        _log(ax)
+        ax.set_xlabel("stiffness k_n, of Hertz the secant [N/m]")
+        ax.set_ylabel(label)
+        lines |= {text: line for line, text in zip(*ax.get_legend_handles_labels(), strict=True)}
+        _plain(ax)
+    canvas.legend(lines.values(), lines.keys(), loc="outside upper left", ncols=3, frameon=False, fontsize=8.5)
+    first: Axes = left
+    return first
+
+
+def _log(ax: Axes) -> None:
+    """Make both axes logarithmic, once everything is drawn: plain numbers, decades, or 1, 2, 5 of a short range."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+    ax.set_xscale("log")
+    ax.set_yscale("log")
+    for axis, (low, high) in ((ax.xaxis, ax.get_xlim()), (ax.yaxis, ax.get_ylim())):
+        axis.set_major_locator(LogLocator(base=10, subs=(1.0,) if high > 100.0 * low else (1.0, 2.0, 5.0)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_locator(NullLocator())  # thousands of minor ticks take seconds to lay out
+
+
+def _plain(ax: Axes) -> None:
+    ax.grid(True, which="major", color="0.88", linewidth=0.7)
+    ax.set_axisbelow(True)
+    ax.spines[["top", "right"]].set_visible(False)
+
+
+def _dress(ax: Axes) -> None:
+    _plain(ax)
+    ax.legend(
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0, 1.0, 0.1),
+        ncols=3,
+        frameon=False,
+        fontsize=8.5,
+        borderaxespad=0.3,
+        columnspacing=1.4,
+    )

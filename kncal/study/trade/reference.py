@@ -1,0 +1,143 @@
+"""The reference of a trade of single contacts: when all runs end, and at which N Hertz has converged."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from kncal.core.errors import KncalError, RunError
+from kncal.physics.timestep import predict_error
+from kncal.scene.case_file import load_scene
+from kncal.scene.model import Model
+from kncal.scene.plan import MOST_STEPS, plan
+from kncal.scene.scene import Scene
+from kncal.study import removing
+from kncal.study.trade.base import Candidate, Convergence
+from kncal.study.trade.errors import Reference, converge
+from kncal.study.trade.points import Contact, merged
+from kncal.study.trade.runs import Runs
+
+#: The reference is tried at these numbers of steps per contact.
+REFERENCE_STEPS = tuple(100.0 * 2.0**k for k in range(8))
+#: What is to be left of the reference's error at most, where no tolerance says.
+DEFAULT_THRESHOLD = 1e-3
+#: The reference takes this share of the smallest tolerance.
+_SHARE = 0.1
+#: A reference that would have more steps than this is not refined further.
+_MOST_STEPS = min(20_000_000, MOST_STEPS)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ends:
+    """When the runs of a trade end.
+
+    Attributes
+    ----------
+    overrides : that pin it, the same for all
+    until : where the case itself ends, by the reference [s]; None: at the pinned time
+    contacts : contacts 1 to this number count, None: all
+    pinned : [s]
+    """
+
+    overrides: tuple[str, ...]
+    until: float | None
+    contacts: int | None
+    pinned: float
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What to know about it."""
+        if self.until is None:
+            return ()
+        return (
+            f"All runs end at {self.pinned:.4g} s, when the softest contact is over, so that their costs compare; paths"
+            f" are compared up to {self.until:.4g} s, where the case itself ends.",
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Found:
+    """The reference at the N where it converged."""
+
+    candidate: Candidate
+    truth: Reference
+    convergence: Convergence
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """How far it converged."""
+        c = self.convergence
+        judged = {name: left for name, left in c.left.items()}
+        worst = max(judged, key=lambda name: judged[name], default=None)
+        left = (
+            ""
+            if worst is None
+            else f"; what is left of its own error is at most {100.0 * judged[worst]:.2g} % ({worst})"
+        )
+        if c.converged:
+            return (
+                f"The reference converged at N = {c.chosen:g} (no judged metric moved by more than "
+                f"{100.0 * c.threshold:.2g} % from half that N){left}.",
+            )
+        return (
+            f"The reference has not converged to {100.0 * c.threshold:.2g} % at N = {c.chosen:g}, the finest that "
+            f"was tried{left}.",
+        )
+
+
+def ends_of(case: str | Path, scene: Scene, reference: Contact, tried: Sequence[Contact]) -> Ends:
+    """Pin the end of all runs: costs compare only over the same time, and the softest contact takes longest.
+
+    A prescribed time step is taken out: N decides here.
+    """
+    no_dt = removing(case, "run.dt")
+    if scene.run.until_time is not None:
+        return Ends(overrides=no_dt, until=None, contacts=None, pinned=scene.run.until_time)
+    until = plan(load_scene(case, overrides=merged(reference.overrides, no_dt)), ("hertz",))["hertz"].t_end
+    latest = until
+    for contact in tried:
+        try:
+            models = plan(load_scene(case, overrides=merged(contact.overrides, no_dt)), (contact.model,))
+        except KncalError:
+            continue  # it cannot be, or never bounces: its run tells why
+        latest = max(latest, models[contact.model].t_end)
+    overrides = ("run.until_bounces=none", f"run.until_time={latest!r}", *no_dt)
+    return Ends(overrides=overrides, until=until, contacts=scene.run.until_bounces, pinned=latest)
+
+
+def converged_steps(model: Model, threshold: float, least: float) -> float:
+    """Return the N of `REFERENCE_STEPS` (at least ``least``) at which any sub-step phase of the first touch would do.
+
+    A damped linear contact jumps at touch and converges slower than Hertz. Its predicted worst error at a hundred steps
+    falls with 1/N at least.
+    """
+    first = REFERENCE_STEPS[0]
+    laws = {(c.law, c.e_n, c.end) for c in model.contacts.values()}
+    worst = max(float(max(predict_error(law, e_n, first, end).worst.values())) for law, e_n, end in laws)
+    needed = max(least, first * worst / threshold)
+    return next((n for n in REFERENCE_STEPS if n >= needed), REFERENCE_STEPS[-1])
+
+
+def find_reference(runs: Runs, contact: Contact, ends: Ends, tolerances: Mapping[str, float]) -> Found:
+    """Double N until no judged metric moves by more than a tenth of the smallest tolerance, nor has more left.
+
+    Raises
+    ------
+    RunError
+        If a run of the reference does not complete.
+    """
+    threshold = _SHARE * min(tolerances.values()) if tolerances else DEFAULT_THRESHOLD
+    tried = {}
+    for n in REFERENCE_STEPS:
+        candidate = contact.at(n, *ends.overrides)
+        runs.run([candidate])
+        ended = runs.ended[candidate.name]
+        if candidate.name not in runs.data:
+            raise RunError(f"the reference at N = {n:g} {ended.status.replace('_', ' ')}: {ended.message}")
+        tried[n] = runs.data[candidate.name]
+        found = converge(tried, tolerances, threshold, ends.until, ends.contacts)
+        if found.converged or 2 * tried[n].model.n_steps > _MOST_STEPS:
+            break
+    truth = Reference(run=tried[n], until=ends.until, contacts=ends.contacts, left=found.left)
+    return Found(candidate=candidate, truth=truth, convergence=found)

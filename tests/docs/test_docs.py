@@ -1,0 +1,309 @@
+"""What the pages promise: examples run and print what is shown, cases load, commands exist, tables are complete."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import tomllib
+from contextlib import redirect_stdout
+from inspect import signature
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import pytest
+from annotated_types import MaxLen
+
+import kncal
+from kncal import cli
+from kncal.physics.laws.registry import LAWS
+from kncal.physics.methods import METHODS
+from kncal.scene import bed_schema, case_schema
+from kncal.scene.bed_case_checks import problems as bed_problems
+from kncal.scene.bed_case_file import parse_bed
+from kncal.scene.bed_limits import check_bed
+from kncal.scene.bed_metrics import BED_METRICS
+from kncal.scene.bed_planning import plan_bed
+from kncal.scene.case_checks import problems
+from kncal.scene.case_file import parse_case, shipped_cases
+from kncal.scene.metrics import METRICS
+from kncal.scene.needs import OVERRULABLE
+from kncal.scene.plan import plan
+
+ROOT = Path(__file__).parents[2]
+PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/**/*.md"), *ROOT.glob("cases/*/README.md")])
+CASE_FILE, THEORY = ROOT / "docs/case-file.md", ROOT / "docs/theory.md"
+BED_FILE = ROOT / "docs/bed-case-file.md"
+
+_BLOCK = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```$", re.S | re.M)
+#: code, and what it prints if that stands right below
+_PYTHON = re.compile(r"^```python\n(.*?)^```\n(?:\n```text\n(.*?)^```$)?", re.S | re.M)
+_COMMAND = re.compile(r"^(?: {4})?\s*(?:\$ |- run: |run: )?(?:[\w./-]*/)?kncal(\s.*)?$")
+_OPERATOR = re.compile(r"[();<>|&]+")
+
+
+def _name(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+def _blocks(page: Path) -> list[tuple[str, str]]:
+    """(language, text) of the fenced blocks, in order."""
+    return _BLOCK.findall(page.read_text("utf-8"))
+
+
+def _with(language: str) -> list[Path]:
+    return [page for page in PAGES if any(kind == language for kind, _ in _blocks(page))]
+
+
+def _section(page: Path, heading: str) -> str:
+    """Text below a heading, up to the next one of any level."""
+    text = page.read_text("utf-8")
+    found = re.search(rf"^#+ {re.escape(heading)}\n(.*?)(?=^#+ |\Z)", text, re.S | re.M)
+    assert found, f"{_name(page)} has no heading {heading!r}"
+    return found[1]
+
+
+def _rows(section: str) -> list[list[str]]:
+    """Cells of the tables of a section, without headings and rules."""
+    rows = [[c.strip() for c in line.strip().strip("|").split("|")] for line in section.splitlines() if "|" in line]
+    rules = [i for i, row in enumerate(rows) if all(set(cell) <= {"-", ":"} for cell in row)]
+    return [row for i, row in enumerate(rows) if i not in rules and i + 1 not in rules]
+
+
+def _commands(page: Path) -> list[list[str]]:
+    """Arguments of every kncal command in shell and workflow blocks (and in indented ones)."""
+    fenced = "\n".join(text for kind, text in _blocks(page) if kind in ("", "sh", "bash", "console", "yaml"))
+    rest = _BLOCK.sub("", page.read_text("utf-8"))
+    indented = "\n".join(line for line in rest.splitlines() if line.startswith("    kncal "))
+    commands = []
+    for line in f"{fenced}\n{indented}".replace("\\\n", " ").splitlines():
+        if found := _COMMAND.match(line):
+            words = shlex.shlex(found[1] or "", posix=True, punctuation_chars=True)
+            words.whitespace_split = True
+            arguments: list[str] = []
+            for word in words:
+                if _OPERATOR.fullmatch(word):
+                    break
+                arguments.append(word)
+            commands.append(arguments)
+    return commands
+
+
+# --- examples -----------------------------------------------------------------------------------------------
+
+
+def test_the_workflow_file_is_the_one_that_its_page_shows() -> None:
+    shown = [text for kind, text in _blocks(ROOT / "docs/how-to/compare-two-runs-in-ci.md") if kind == "yaml"]
+    assert shown == [(ROOT / "docs/ci/github-actions.yml").read_text("utf-8")]
+
+
+@pytest.mark.parametrize("page", _with("python"), ids=_name)
+def test_python_blocks_run_and_print_what_is_shown(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {"__name__": "docs"}
+    for code, shown in _PYTHON.findall(page.read_text("utf-8")):
+        printed = StringIO()
+        with redirect_stdout(printed):
+            exec(compile(code, _name(page), "exec"), names)  # noqa: S102 - the project's own pages
+        if shown:
+            assert printed.getvalue().split() == shown.split(), f"now it prints:\n{printed.getvalue()}"
+
+
+def _complete(page: Path) -> list[str]:
+    return [text for kind, text in _blocks(page) if kind == "toml" and "[[particles]]" in text]
+
+
+def _complete_beds(page: Path) -> list[str]:
+    return [text for kind, text in _blocks(page) if kind == "toml" and "[column]" in text]
+
+
+@pytest.mark.parametrize("page", _with("toml"), ids=_name)
+def test_case_examples_load(page: Path) -> None:
+    """Whole cases load and can be planned; a few lines of one fit into the page's whole case, or the reference's."""
+    for text in _complete(page):
+        models = plan(parse_case(text, name="example"))
+        assert all(model.n_steps > 0 for model in models.values())
+    beds = _complete_beds(page)
+    for text in beds:
+        for model in plan_bed(parse_bed(text, name="example")).values():
+            assert model.couplings > 0
+            assert not [finding for finding in check_bed(model) if finding.level == "refuse"]
+    base = tomllib.loads((beds or _complete(page) or _complete(CASE_FILE))[0])
+    for kind, text in _blocks(page):
+        if kind == "toml" and text not in (*beds, *_complete(page)):
+            if beds:
+                assert bed_problems(bed_schema.BedTable.model_validate(base | tomllib.loads(text))) == []
+            else:
+                assert problems(case_schema.CaseTable.model_validate(base | tomllib.loads(text))) == []
+
+
+def test_there_is_a_complete_example() -> None:
+    """It uses every table that a case file may have."""
+    (text,) = _complete(CASE_FILE)
+    example = tomllib.loads(text)
+    assert set(example) == set(case_schema.CaseTable.model_fields)
+    assert example["contact"]["pairs"]
+    (text,) = _complete_beds(BED_FILE)
+    example = tomllib.loads(text)
+    assert set(example) == set(bed_schema.BedTable.model_fields)
+    assert example["contact"]["pairs"]
+    assert example["gas"]["jet"]
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if _commands(page)], ids=_name)
+def test_commands_parse(page: Path) -> None:
+    """Every command line has known commands and flags, and cases that exist or were made on the page."""
+    commands = _commands(page)
+    cases = {*shipped_cases(), *(words[2] for words in commands if words[:1] == ["new"] and len(words) > 2)}
+    for words in commands:
+        function, bound, _ = cli.app.parse_args(words, exit_on_error=False, print_error=False)
+        given = {**bound.arguments}
+        case = given.get("case") or (given.get("first") if given.get("second") is None else None)
+        if case is not None and "case" in (*signature(function).parameters, "first") and not case.isupper():
+            assert case in cases or "/" in case, f"kncal {shlex.join(words)}"
+
+
+def test_the_extractor_sees_commands() -> None:
+    """The how-to for CI has commands in shell and in workflow blocks; both kinds are found."""
+    commands = _commands(ROOT / "docs/how-to/compare-two-runs-in-ci.md")
+    assert ["new", "wall_impact", "my_case"] in commands
+    assert ["doctor"] in commands
+    assert ["compare", "my_case", "--engine", "builtin", "--json"] in commands  # "> comparison.json" is the shell's
+
+
+# --- links --------------------------------------------------------------------------------------------------
+
+
+def _anchors(page: Path) -> set[str]:
+    titles = re.findall(r"^#+ (.+)$", _BLOCK.sub("", page.read_text("utf-8")), re.M)
+    return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=_name)
+def test_links_lead_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)\s]+)\)", _BLOCK.sub("", page.read_text("utf-8"))):
+        if re.match(r"[a-z]+:", target):
+            continue
+        path, _, anchor = target.partition("#")
+        file = (page.parent / path).resolve() if path else page
+        assert file.exists(), target
+        assert not anchor or anchor in _anchors(file), target
+
+
+# --- completeness -------------------------------------------------------------------------------------------
+
+TABLES: dict[str, type[case_schema.Table]] = {
+    "Top level": case_schema.CaseTable,
+    "`[materials.NAME]`": case_schema.MaterialTable,
+    "`[[particles]]`": case_schema.ParticleTable,
+    "`[[walls]]`": case_schema.WallTable,
+    "`[contact]`": case_schema.ContactTable,
+    "`[contact.measured]`": case_schema.MeasuredTable,
+    "`[[contact.pairs]]`": case_schema.PairTable,
+    "`[run]`": case_schema.RunTable,
+}
+
+
+BED_TABLES: dict[str, type[case_schema.Table]] = {
+    "Top level": bed_schema.BedTable,
+    "`[column]`": bed_schema.ColumnTable,
+    "`[particles]`": bed_schema.BedParticlesTable,
+    "`[gas]`": bed_schema.GasTable,
+    "`[gas.jet]`": bed_schema.JetTable,
+    "`[run]`": bed_schema.BedRunTable,
+}
+
+
+@pytest.mark.parametrize(
+    ("page", "heading", "table"),
+    [(CASE_FILE, *item) for item in TABLES.items()] + [(BED_FILE, *item) for item in BED_TABLES.items()],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_every_key_of_the_case_file_stands_with_its_default(
+    page: Path, heading: str, table: type[case_schema.Table]
+) -> None:
+    fields = table.model_fields
+    # keys that share their meaning share a row: `width`, `depth`, `height`
+    rows = {key: row for row in _rows(_section(page, heading)) for key in re.findall(r"`(\w+)`", row[0])}
+    assert set(rows) == set(fields)
+    for key, field in fields.items():
+        default = rows[key][3]
+        if field.is_required():
+            assert default == "required", key
+        elif default.startswith("`"):
+            assert tomllib.loads(f"x = {default.strip('`')}")["x"] == field.get_default(), key
+        else:
+            # "–": nothing; in words: the defaults of a whole table
+            assert field.get_default(call_default_factory=True) in (
+                None,
+                case_schema.ContactTable.model_validate({}),
+            ), key
+
+
+@pytest.mark.parametrize(
+    ("page", "heading", "table"),
+    [(CASE_FILE, *item) for item in TABLES.items()] + [(BED_FILE, *item) for item in BED_TABLES.items()],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_the_most_entries_of_a_list_stand_in_its_row(page: Path, heading: str, table: type[case_schema.Table]) -> None:
+    rows = {key: row for row in _rows(_section(page, heading)) for key in re.findall(r"`(\w+)`", row[0])}
+    for key, field in table.model_fields.items():
+        most = next((m.max_length for m in field.metadata if isinstance(m, MaxLen)), None)
+        if most is not None and most > 3:  # not of a vector
+            numbers = [int(float(n)) for n in re.findall(r"\d[\d ]*(?:e\d+)?", rows[key][4].replace("\u202f", ""))]
+            assert most in numbers, f"{key}: {rows[key][4]}"
+
+
+def test_every_option_metric_and_overrule_stands_in_the_case_file_page() -> None:
+    rows = _rows(_section(CASE_FILE, "`[contact.options]`"))
+    shown = {(row[0].strip("`"), row[1].strip("`")): row[4] for row in rows}
+    wanted = {(m.name, key): "required" for m in METHODS.values() for key in m.required}
+    wanted |= {
+        (m.name, key): f"`{value!r}`".replace("'", '"')
+        for m in METHODS.values()
+        for key, value in (m.optional or {}).items()
+    }
+    assert shown == wanted
+    metrics = " ".join(row[0] for row in _rows(_section(BED_FILE, "`[tolerances]`")))
+    assert set(BED_METRICS) == set(re.findall(r"`(\w+)`", metrics))
+    metrics = " ".join(row[0] for row in _rows(_section(CASE_FILE, "`[tolerances]`")))
+    assert set(METRICS) <= set(re.findall(r"`(\w+)`", metrics))
+    assert {row[0].strip("`") for row in _rows(_section(CASE_FILE, "`[needs]`"))} == set(OVERRULABLE)
+
+
+def test_theory_names_every_law_and_method_and_every_methods_kappa() -> None:
+    """kappa at e_n = 1 as printed on the page; from the closed forms: (4/5)^(4/5) and (5/4)^(1/5)."""
+    laws = {row[0].strip("`") for row in _rows(_section(THEORY, "3 Contact laws")) if "`" in row[0]}
+    assert set(LAWS) <= laws
+    section = _section(THEORY, "6 Methods for k_n")
+    methods = {row[0].split("`")[1] for row in _rows(_BLOCK.sub("", section)) if row[0].startswith("`")}
+    assert methods == set(METHODS)
+    assert f"strain_energy        1.0   {0.8**0.8:.4f}" in section
+    assert f"max_overlap_secant   1.0   {1.25**0.2:.4f}" in section
+
+
+def test_theory_names_every_warning() -> None:
+    """Impacts that ask for trouble raise exactly the codes of the page's table."""
+    soft = kncal.Material(young=1e6, poisson=0.3, density=2500, yield_strength=1e3)
+    beads, unequal = kncal.pair(soft, 1e-3), kncal.pair(soft, 1e-3, soft, 4e-3)
+    seen = [
+        kncal.calibrate(beads, v_0=1.5, e_n=0.5),
+        kncal.calibrate(kncal.pair(kncal.Material(young=70e9, poisson=0.22, density=2500), 1.0), v_0=0.5, e_n=0.9),
+        kncal.calibrate(beads, v_0=0.1, e_n=0.05),
+        kncal.calibrate(beads, v_0=1e-5, e_n=0.9, law="hertz"),
+        kncal.calibrate(beads, v_0=0.1, e_n=0.1, end="force"),
+        kncal.calibrate(unequal, v_0=0.1, e_n=0.9, law="kuwabara_kono"),
+    ]
+    codes = {w.code for c in seen for w in c.warnings}
+    shown = {row[0].strip("`") for row in _rows(_section(THEORY, "8 Validity limits"))}
+    assert shown == {"(error)", *codes}
+
+
+def test_exit_codes_and_errors_stand_in_their_pages() -> None:
+    rows = _rows(_BLOCK.sub("", _section(ROOT / "docs/how-to/compare-two-runs-in-ci.md", "2 Run and judge")))
+    names = ("OK", "OUTSIDE", "USAGE", "FAILED", "MISSING", "UNEXPECTED", "INTERRUPTED")
+    codes = {getattr(cli.failures, name) for name in names}
+    assert {int(row[0]) for row in rows} == codes
+    errors = {name for name in kncal.__all__ if name.endswith("Error")} - {"KncalError"}
+    rows = _rows(_section(ROOT / "docs/how-to/use-the-python-api.md", "Errors"))
+    assert set(re.findall(r"`(\w+Error)`", " ".join(row[0] for row in rows))) == errors

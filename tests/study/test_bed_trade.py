@@ -1,0 +1,364 @@
+"""Trades of beds: the split of errors on made-up runs of known averages, parts of runs, and a small bed for real."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from compared_beds import SCENE, run_data
+
+from kncal.engines.loop import REACTION_LIMIT
+from kncal.observe.bed_compare import compare_beds, observed
+from kncal.runs.bed_workflow import load_bed_run
+from kncal.scene.bed_scene import BedScene
+from kncal.scene.case_file import dump_case, load_case
+from kncal.scene.load import bottom_overlaps
+from kncal.study import Variant
+from kncal.study.trade import bed, bed_runs
+from kncal.study.trade.base import Candidate, TradeOptions
+from kncal.study.trade.bed import trade_bed
+from kncal.study.trade.bed_errors import Judged, bed_errors, bed_splits
+from kncal.study.trade.bed_points import (
+    START_OVERLAP,
+    STIFF,
+    bed_contacts,
+    fluidised,
+    reference_steps,
+    settling,
+    shared_case,
+)
+from kncal.study.trade.bed_runs import Part, Track, load_part, measured_rates
+
+Z = "z_mean"
+
+
+def candidate(how: str, factor: float | None, steps: float, model: str = "linear") -> Candidate:
+    name = f"{how}-{factor}-{steps:g}"
+    return Candidate(
+        name=name, how=how, factor=factor, steps_per_contact=steps, variant=Variant(name=name, model=model)
+    )
+
+
+def mean_height(kind: str, seed: int, share: float):
+    """A run whose mean height is ``share`` above 10 mm, long enough to know it to about 1 %."""
+    return observed(run_data(kind, seed, length=10.0, means={"z_mean": 0.010 * (1.0 + share)}))
+
+
+@pytest.fixture(scope="module")
+def chain():
+    """Hertz; unsoftened linear 5 % above; softened another 10 %; at a coarse step another 20 % of the reference's."""
+    return {
+        "reference": mean_height("hertz", 1, 0.0),
+        "unsoftened": mean_height("linear", 2, 0.05),
+        "softened": mean_height("linear", 3, 0.15),
+        "coarse": mean_height("linear", 4, 0.35),
+    }
+
+
+def judged(name: str, chain, of: Candidate) -> Judged:
+    return Judged(candidate=of, run=chain[name], errors=bed_errors(chain[name], chain["reference"], {}))
+
+
+def test_the_split_finds_each_part_and_leaves_nothing(chain):
+    points = [
+        judged("unsoftened", chain, candidate("mean_overlap", 1.0, 50.0)),
+        judged("softened", chain, candidate("softened", 0.1, 50.0)),
+        judged("coarse", chain, candidate("softened", 0.1, 10.0)),
+    ]
+    splits = bed_splits(points, chain["reference"], 50.0)
+    split = next(s for s in splits[points[2].candidate.name] if s.metric == Z)
+    for part, known in ((split.discretisation, 0.20), (split.softness, 0.10), (split.model, 0.05)):
+        # intervals of 95 %: twice the width is missed by one in ten thousand
+        assert abs(part.value - known) <= 2.0 * part.uncertainty
+        assert part.uncertainty < 0.05
+    assert split.interaction == pytest.approx(0.0, abs=1e-12)
+    assert split.missing == ()
+    fine = next(s for s in splits[points[1].candidate.name] if s.metric == Z)
+    assert fine.discretisation is None
+    assert fine.total.value == pytest.approx(fine.softness.value + fine.model.value, abs=1e-12)
+
+
+def test_a_part_within_its_interval_is_not_resolved(chain):
+    same = Judged(
+        candidate=candidate("mean_overlap", 1.0, 50.0),
+        run=(run := mean_height("linear", 9, 0.0)),
+        errors=bed_errors(run, chain["reference"], {}),
+    )
+    (split,) = (s for s in bed_splits([same], chain["reference"], 50.0)[same.candidate.name] if s.metric == Z)
+    assert not split.model.resolved
+    assert split.model.value == split.total.value
+
+
+def test_parts_that_were_not_run_are_missing(chain):
+    coarse = judged("coarse", chain, candidate("softened", 0.1, 10.0))
+    (split,) = (s for s in bed_splits([coarse], chain["reference"], 50.0)[coarse.candidate.name] if s.metric == Z)
+    assert (split.discretisation, split.softness, split.model, split.interaction) == (None, None, None, None)
+    assert len(split.missing) == 3
+
+
+def test_errors_are_those_of_a_comparison_of_two_beds():
+    """Against a comparison of the same two runs: same numbers, same verdicts; any run may be the reference."""
+    linear, hertz = run_data("linear", 5, means={"z_mean": 0.0105}), run_data("hertz", 6)
+    tolerances = {Z: 0.2, "eps_g": 0.1, "pressure_drop": 0.02, "overlap_mean": 0.001}
+    rows = {row.metric: row for row in compare_beds(linear, hertz, tolerances).rows}
+    found = bed_errors(observed(linear), observed(hertz), tolerances)
+    assert set(found) == set(rows)
+    for name, limit in tolerances.items():
+        assert found[name].verdict(limit) == rows[name].verdict
+    assert found[Z].error == rows[Z].difference
+    two = bed_errors(observed(run_data("hertz", 7)), observed(hertz), {})
+    assert "relative to reference" in two[Z].basis
+    assert abs(two[Z].error) <= 2.0 * two[Z].uncertainty
+
+
+@pytest.mark.parametrize(("rms", "noise"), [(0.05, 0.001), (0.02, 0.02), (0.11, 0.02)])
+def test_the_interval_of_a_field_decides_as_its_row_does(rms, noise, monkeypatch):
+    monkeypatch.setattr("kncal.observe.bed_compare.voidage_difference", lambda *_: (rms, noise))
+    linear, hertz = run_data("linear", 5), run_data("hertz", 6)
+    for limit in (0.01, 0.045, 0.06, 0.1, 0.2):
+        row = compare_beds(linear, hertz, {"eps_g": limit}).row("eps_g")
+        assert bed_errors(observed(linear), observed(hertz), {"eps_g": limit})["eps_g"].verdict(limit) == row.verdict
+
+
+# --- candidates and starts ----------------------------------------------------
+
+
+def mini(end_time: float, count: int = 300, **contact) -> BedScene:
+    scene = load_case("bubbling_bed_mini")
+    assert isinstance(scene, BedScene)
+    return replace(
+        scene,
+        particles=replace(scene.particles, count=count, packing="lattice"),
+        run=replace(scene.run, end_time=end_time, discard=0.0, frames_every=0.001, steps_per_contact=10.0),
+        contact=replace(scene.contact, **contact),
+    )
+
+
+def written(scene: BedScene, folder: Path) -> Path:
+    path = folder / "bed" / "case.toml"
+    path.parent.mkdir()
+    path.write_text(dump_case(scene), encoding="utf-8")
+    return path
+
+
+def test_every_pair_is_softened_by_the_factor_and_keeps_its_restitution(tmp_path):
+    from kncal.scene.bed_planning import plan_bed
+
+    case = written(mini(0.1), tmp_path)
+    options = TradeOptions(reference=("materials.soft.young=5e8",), factors=(1.0, 0.01))
+    top, groups = bed_contacts(case, options)
+
+    def planned(contact, kind):
+        return plan_bed(load_case(case, overrides=contact.at(20.0).variant.overrides), (kind,))[kind]
+
+    hard, soft = (planned(contact, "linear") for contact in groups["softened"])
+    for pair, contact in hard.contacts.items():
+        assert soft.contacts[pair].k == pytest.approx(0.01 * contact.k, rel=1e-12)
+        assert soft.contacts[pair].t_c == pytest.approx(10.0 * contact.t_c, rel=1e-12)
+        assert soft.contacts[pair].e_n == contact.e_n
+        # eta_n = 2 zeta sqrt(k m): softer by a hundred is damped by a tenth
+        assert soft.contacts[pair].c == pytest.approx(0.1 * contact.c, rel=1e-12)
+    real, reduced = planned(top, "hertz"), planned(groups["reduced"][1], "hertz")
+    for pair, contact in real.contacts.items():
+        assert reduced.contacts[pair].k == pytest.approx(0.01 * contact.k, rel=1e-12)
+    # the same number of steps per contact for every model
+    for model in (hard, soft, real, reduced):
+        assert min(c.t_c for c in model.contacts.values()) / model.dt == pytest.approx(20.0)
+
+
+def test_the_reference_takes_the_smallest_step_that_changes_its_contacts_little_enough():
+    scene = mini(0.1)
+    loose, tight = (reference_steps(scene, (10.0, 20.0, 50.0, 400.0), t) for t in (0.3, 0.02))
+    assert loose[0] < tight[0]
+    assert loose[1] <= 0.03
+    assert tight[1] <= 0.002
+    assert reference_steps(replace(scene, run=replace(scene.run, steps_per_contact=70.0)), (10.0,), 0.3)[0] == 70.0
+
+
+def test_a_bed_that_gas_moves_starts_loose_and_one_at_rest_does_not(tmp_path):
+    moving = mini(0.1)
+    moving = replace(moving, particles=replace(moving.particles, packing="settled"))
+    assert fluidised(moving)
+    path, notes = shared_case("unused", moving, tmp_path)
+    assert load_case(path).particles.packing == "lattice"
+    assert any("loose lattice" in note for note in notes)
+    still = replace(moving, gas=replace(moving.gas, U_0=0.1))  # U_mf of such particles is some tenths of a metre per s
+    assert not fluidised(still)
+
+
+def test_a_stiff_bed_at_rest_is_settled_by_a_softer_spring():
+    """Hertz's reference may be stiff; what it starts from is a packing in which overlaps are a thousandth of d."""
+    from kncal.scene.bed_planning import plan_bed
+
+    def overlap(young: float) -> tuple[float, str]:
+        scene = mini(0.1)
+        material = replace(scene.particles.material, young=young)
+        column = replace(scene.column, wall_material=material)
+        scene = replace(scene, column=column, particles=replace(scene.particles, material=material))
+        settled, told = settling(scene)
+        return bottom_overlaps(plan_bed(settled, ("linear",))["linear"])[
+            "particles", "particles"
+        ] / scene.particles.diameter, told
+
+    stiff, told = overlap(7e10)
+    assert stiff == pytest.approx(START_OVERLAP)
+    assert "k_n" in told
+    soft, told = overlap(5e5)
+    assert soft > START_OVERLAP / STIFF
+    assert told == ""
+
+
+# --- parts --------------------------------------------------------------------
+
+
+def track(parts: list[tuple[int, float]], couplings: int = 1000) -> Track:
+    from kncal.scene.bed_planning import plan_bed
+
+    model = replace(plan_bed(SCENE, ("linear",))["linear"], couplings=couplings)
+    found = Track(candidate=candidate("softened", 0.1, 10.0), model=model, folder=Path("nowhere"), key="")
+    first = 0
+    for last, cpu in parts:
+        found.parts.append(Part(first=first, last=last, dem=cpu, gas=0.0, exchange=0.0, wall=cpu, load=0.0))
+        first = last
+    return found
+
+
+def test_cpu_time_is_extrapolated_from_what_followed_the_start_up():
+    # 0.1 s a coupling at the start, 0.2 s later
+    run = track([(100, 10.0), (300, 40.0), (500, 40.0)])
+    assert run.whole() == pytest.approx((200.0, 200.0))
+    assert run.held() == pytest.approx(2.0)  # what followed took twice what the first part predicted
+    assert track([(100, 10.0)]).whole() == pytest.approx((100.0,))
+    assert track([(100, 10.0)]).held() is None
+    assert track([(1000, 77.0)]).whole() == (77.0,)  # completed at once: measured
+    assert run.done == pytest.approx(500 * run.model.coupling)
+
+
+GOOD = {"first": 0, "last": 100, "dem": 1.0, "gas": 0.0, "exchange": 0.0, "wall": 1.0, "load": 0.0}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {},
+        {"parts": [GOOD | {"last": 10**9}]},  # more couplings than the run has
+        {"parts": [GOOD | {"last": True}]},
+        {"parts": [GOOD | {"dem": -1.0}]},
+        {"parts": [GOOD | {"first": 50}]},
+        {"parts": [GOOD | {"last": 0}]},
+        {"parts": [GOOD, GOOD]},
+        {"parts": 5},
+        {"status": None},
+        {"run": "../../elsewhere"},
+    ],
+)
+def test_parts_that_kncal_would_not_write_are_not_taken_up_and_stop_nothing(tmp_path, change):
+    found = replace(track([]), folder=tmp_path)
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "result.json").write_text("{}")
+    record = {"key": "", "status": "timed_out", "run": "run", "parts": [GOOD]}
+    (tmp_path / "parts.json").write_text(json.dumps(record | change))
+    found.take_up()
+    assert found.couplings == (0 if change else 100)
+    assert found.status == ("waiting" if change else "timed_out")
+
+
+def test_rates_are_found_from_parts_and_predict_other_steps():
+    """Parts made with known costs per coupling and per particle-step give these back, and the cost of a third run."""
+    from kncal.scene.bed_planning import plan_bed
+
+    count, a, b, gas = SCENE.particles.count, 5e-3, 2e-7, 3e-3
+    tracks = []
+    for steps, number in ((10, 200), (400, 50)):
+        model = replace(plan_bed(SCENE, ("linear",))["linear"], steps_per_coupling=steps)
+        dem = number * (a + b * steps * count)
+        part = Part(first=0, last=number, dem=dem, gas=gas * number, exchange=0.0, wall=2.0 * dem, load=0.0)
+        of = candidate("softened", 0.1, float(steps))
+        tracks.append(Track(candidate=of, model=model, folder=Path("nowhere"), key="", parts=[part]))
+    rates = measured_rates(tracks)
+    assert rates.step["linear"] == pytest.approx(b)
+    assert rates.coupling == pytest.approx(a + gas)
+    third = replace(tracks[0].model, steps_per_coupling=100)
+    assert rates.predict(third) == pytest.approx((a + gas + 100 * b * count) / third.coupling)
+    assert measured_rates([]) is None
+    one = measured_rates(tracks[:1])
+    assert one.predict(tracks[0].model) == pytest.approx(tracks[0].cpu / tracks[0].done)
+
+
+# --- for real -----------------------------------------------------------------
+
+OPTIONS = TradeOptions(
+    steps=(10.0,), factors=(1.0, 0.1, 1e-4), overlaps=(), tolerances={"pressure_drop": 0.2, "z_mean": 0.1}, workers=2
+)
+
+
+@pytest.mark.solver
+def test_a_small_bed_is_traded_to_its_end(tmp_path):
+    scene = mini(0.012)
+    case = written(scene, tmp_path)
+    said: list[str] = []
+    trade = trade_bed(case, scene, tmp_path / "trade", OPTIONS, said.append)
+    reference = trade.reference
+    assert reference.completed
+    assert reference.ran_share == pytest.approx(1.0)
+    assert reference.errors == {}
+    hard, soft = (trade.point(name) for name in ("linear-mean_overlap-N10", "linear-mean_overlap-over-10-N10"))
+    assert hard.completed
+    assert soft.completed
+    # a tenth of the stiffness: a step sqrt(10) times as long, but for whole numbers of steps in a coupling
+    assert hard.steps / soft.steps == pytest.approx(math.sqrt(10.0), rel=0.1)
+    gone = trade.point("linear-mean_overlap-over-10000-N10")
+    assert gone.status == "refused"
+    assert gone.cpu_seconds == ()
+    assert gone.message
+    # the same numbers as a comparison of the same two run folders
+    folders = {name: next((tmp_path / "trade" / "runs" / name).glob("round-1/*/runs/*/*/result.json")).parent
+               for name in ("reference-N10", "linear-mean_overlap-N10")}  # fmt: skip
+    linear, hertz = (load_bed_run(folders[n]) for n in ("linear-mean_overlap-N10", "reference-N10"))
+    row = compare_beds(linear, hertz).row("z_mean")
+    assert hard.errors["z_mean"].error == row.difference
+    assert hard.cpu_seconds == pytest.approx((linear.result.cpu_seconds,))
+    assert linear.series.reaction_error.max() <= REACTION_LIMIT
+    names = {sign.name for sign in soft.signs}
+    assert {"overlap_share", "leaking", "contact_number", "sound_speed", "static_overlap"} <= names
+    # softer is worse in every sign that grows with softness
+    for name in ("overlap_share", "sound_speed", "static_overlap"):
+        one, ten = (next(s.value for s in p.signs if s.name == name) for p in (hard, soft))
+        assert ten > one
+    # again: nothing runs, and the same comes out
+    said.clear()
+    again = trade_bed(case, scene, tmp_path / "trade", OPTIONS, said.append)
+    assert again.point(hard.candidate.name).errors == hard.errors
+    assert said == ["one start for all runs"]
+
+
+@pytest.mark.solver
+def test_runs_that_a_budget_stopped_go_on(tmp_path, monkeypatch):
+    monkeypatch.setattr(bed, "SHORTEST", 0.5)
+    monkeypatch.setattr(bed, "REST", 0.2)
+    monkeypatch.setattr(bed_runs, "OVERHEAD", 0.5)
+    scene = mini(20.0)
+    case = written(scene, tmp_path)
+    told: list[str] = []
+    first = trade_bed(case, scene, tmp_path / "trade", replace(OPTIONS, budget=8.0), told.append)
+    assert 0.0 < first.reference.ran_share < 1.0
+    assert any("in part" in caveat for caveat in first.caveats)
+    second = trade_bed(case, scene, tmp_path / "trade", replace(OPTIONS, budget=12.0), told.append)
+    shares = [[point.ran_share for point in (trade.reference, *trade.points)] for trade in (first, second)]
+    assert all(after >= before for before, after in zip(*shares, strict=True))
+    assert sum(shares[1]) > sum(shares[0])
+    assert not list(tmp_path.glob("trade/runs/*/round-1/*/runs/*/attempt-*"))  # none began anew
+    run = next((tmp_path / "trade" / "runs" / "reference-N10").glob("round-1/hertz/runs/*/hertz"))
+    series = load_part(run).series
+    assert np.array_equal(series.coupling, np.arange(1, len(series.t) + 1))
+    assert len(series.t) / couplings_of(scene) == pytest.approx(second.reference.ran_share)
+
+
+def couplings_of(scene: BedScene) -> int:
+    from kncal.scene.bed_planning import plan_bed
+
+    return plan_bed(scene, ("hertz",))["hertz"].couplings
