@@ -250,6 +250,8 @@ def _per_pair(argument: str, given: PerPair, keys: Collection[tuple[str, str]]) 
 
 def _known(names: object, keys: Collection[tuple[str, str]]) -> tuple[str, str] | None:
     """The key of two names in any order, or None."""
+    if not (isinstance(names, tuple) and all(isinstance(name, str) for name in names)):
+        return None  # what compares otherwise than names do
     return next((key for key in keys if names in (key, key[::-1])), None)
 
 

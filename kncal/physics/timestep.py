@@ -314,7 +314,7 @@ def smallest_restitution(
     What to take in the place of e_n = 0, which no finite damping gives. 1 if there is none below.
     """
     ladder = [k / 1000.0 for k in range(1, 100)] + [k / 100.0 for k in range(10, 100)]
-    if isinstance(laws, str) or not isinstance(laws, Collection):
+    if not isinstance(laws, (list, tuple, set, frozenset)):
         raise InputError(f"laws = {short(laws)}: expected a list of contact laws")
 
     def resolved(e_n: float) -> bool:

@@ -107,6 +107,8 @@ def read_case(case: str | Path, name: str | None = None) -> CaseText:
             raise other from error
         line = data.count(b"\n", 0, error.start) + 1
         raise CaseFileError(f"{path}, line {line}: not UTF-8 text ({error.reason}): expected a TOML file") from error
+    if other := _no_case(str(path), ""):  # some are valid TOML by chance
+        raise other
     if name is None:
         name = path.resolve().parent.name if path.name == CASE else path.stem
     return CaseText(text, name, str(path))

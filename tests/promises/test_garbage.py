@@ -27,6 +27,15 @@ BEADS = kncal.pair(GLASS, 1e-3)
 SECONDS, MEMORY = 10.0, 2**30
 
 
+class LikeAll:
+    """Compares as an array does."""
+
+    def __eq__(self, other: object) -> Any:
+        return np.array([True, False])
+
+    __hash__ = object.__hash__
+
+
 class Silent:
     """Cannot say what it is."""
 
@@ -78,6 +87,8 @@ GARBAGE: dict[str, Callable[[], Any]] = {
     "deep": deep,
     "ring": ring,
     "dict": lambda: {"a": 1},
+    "odd keys": lambda: {LikeAll(): 1},
+    "0-d array": lambda: np.array(0.5),
     "object": object,
     "class": lambda: kncal.Material,
     "function": lambda: lambda *_: 1 / 0,

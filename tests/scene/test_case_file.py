@@ -464,6 +464,7 @@ FOREIGN = {
     "binary.stl": ("STL", b"\x80\xff" * 50 + b"\x01"),
     "large.stl": ("STL", b"\x00\xff" * MOST_BYTES),
     "x.mfx": ("MFiX", b"RUN_NAME = 'x'\n# a comment\nTSTOP = 2.0 5\n"),
+    "valid.mfx": ("MFiX", b"run_name = 'x'\n"),
     "project": ("MFiX", b"! a project\nRUN_NAME = 'x'\nTSTOP 2.0\n"),
     "controlDict": ("OpenFOAM", b"FoamFile\n{\n version 2.0;\n}\n"),
     "post.dump": ("dump", b"ITEM: TIMESTEP\n0\n"),
