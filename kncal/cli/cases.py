@@ -118,7 +118,7 @@ def doctor(*, json: Json = False) -> int:
 
 def laws(*, json: Json = False) -> None:
     """List the contact laws and the methods for k_n, with sources and limits."""
-    from kncal.physics.laws.registry import LAWS
+    from kncal.physics.laws import LAWS
     from kncal.physics.methods import METHODS
 
     if json:

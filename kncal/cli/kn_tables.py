@@ -184,7 +184,7 @@ def kn_print(name: str, data: dict[str, Any]) -> None:
 
 def own_options(method: str, options: dict[str, Any]) -> dict[str, Any]:
     """Return those of the options that a method takes."""
-    from kncal.physics.methods import get_method
+    from kncal.physics.methods import METHODS
 
-    row = get_method(method)
+    row = METHODS.find(method)
     return {k: v for k, v in options.items() if k in (*row.required, *(row.optional or {}))}

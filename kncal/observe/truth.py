@@ -8,7 +8,7 @@ import numpy as np
 
 from kncal.observe.contacts import Observations, observe
 from kncal.physics.closed_forms import gross_sliding, slip_end
-from kncal.physics.laws.registry import get_law
+from kncal.physics.laws import LAWS
 from kncal.physics.material import sphere_mass
 from kncal.physics.timestep import predict_error
 from kncal.record.frames import Trajectory
@@ -103,7 +103,7 @@ def predicted_errors(model: Model, observations: Observations) -> dict[str, floa
     errors: dict[str, float] = {}
     for k, event in enumerate(observations.contacts, start=1):
         contact = model.contacts[event.pair]
-        law = get_law(contact.law)
+        law = LAWS.find(contact.law)
         worst = predict_error(law.name, contact.e_n, contact.t_c / model.dt, contact.end).worst
         suffix = "" if k == 1 else f"_{k}"
         inherited = (k - 1) * worst["e_n"]

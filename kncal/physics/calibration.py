@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike
 
 from kncal.core.checks import Array, common_shape, in_range, instance, one_of, positive_result
 from kncal.physics.impact import NO_REBOUND, DimensionlessImpact, dimensionless_impact
+from kncal.physics.laws import LAWS
 from kncal.physics.laws.base import ContactLaw
-from kncal.physics.laws.registry import get_law
 from kncal.physics.material import FloatOrArray, Pair, plain
-from kncal.physics.methods import KAPPA_STRAIN_ENERGY, MethodInputs, get_method
+from kncal.physics.methods import KAPPA_STRAIN_ENERGY, METHODS, MethodInputs
 from kncal.physics.validity import ValidityWarning, check_validity
 
 if TYPE_CHECKING:
@@ -175,9 +175,9 @@ def calibrate(
     speed = plain(in_range("v_0", v_0, *SPEEDS, unit="m/s", hint="a resting contact: method 'static_load'"))
     restitution = plain(in_range("e_n", e_n, 0.0, 1.0, low_open=True, hint=NO_REBOUND))
     one_of("end", end, ENDS)
-    chosen = get_method(method)
+    chosen = METHODS.find(method)
     options = chosen.options(method_options)
-    contact_law = get_law(law)
+    contact_law = LAWS.find(law)
     shape = common_shape(pair=pair, v_0=speed, e_n=restitution, **options)
 
     elastic = contact_law.name == "hertz"

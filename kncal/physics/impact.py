@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kncal.core.checks import MOST_VALUES, Array, in_range, one_of, single, whole
+from kncal.physics.laws import LAWS
 from kncal.physics.laws.base import ENDS, ContactLaw
-from kncal.physics.laws.registry import get_law
 from kncal.physics.material import FloatOrArray, plain
 
 #: What an e_n out of range is told.
@@ -80,7 +80,7 @@ def dimensionless_impact(law: str | ContactLaw, e_n: ArrayLike, end: str = "over
     InputError
         If the law or the end is unknown, or an e_n is out of range.
     """
-    chosen = get_law(law)
+    chosen = LAWS.find(law)
     end = one_of("end", end, ENDS)
     e = _restitution(chosen, e_n, end)
     return _one(chosen, float(e), end) if e.ndim == 0 else _solve(chosen, e, end)
@@ -108,7 +108,7 @@ def impact_path(law: str | ContactLaw, e_n: float, end: str = "overlap", n: int 
     """
     e_n = single("e_n", e_n)
     n = whole("n", n, 2, MOST_VALUES)
-    chosen = get_law(law)
+    chosen = LAWS.find(law)
     impact = dimensionless_impact(chosen, e_n, end)
     C, e = float(impact.C), float(impact.e_n)
     tau = np.linspace(0.0, float(impact.tau_c), n)

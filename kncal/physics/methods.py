@@ -15,6 +15,7 @@ import numpy as np
 
 from kncal.core.checks import in_range, one_of
 from kncal.core.errors import InputError
+from kncal.core.registry import Registry
 from kncal.physics.impact import DimensionlessImpact
 from kncal.physics.material import FloatOrArray, Pair, plain
 
@@ -233,10 +234,5 @@ _ROWS = (
     ),
 )
 
-#: name -> Method
-METHODS: dict[str, Method] = {row.name: row for row in _ROWS}
-
-
-def get_method(name: str) -> Method:
-    """Return the method of that name; `InputError` with the nearest name if there is none."""
-    return METHODS[one_of("method", name, METHODS)]
+#: The methods by name; packages add theirs by entry points of the group ``kncal.methods``.
+METHODS = Registry("method", Method, *_ROWS, group="kncal.methods")

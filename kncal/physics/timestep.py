@@ -17,8 +17,8 @@ from kncal.core.errors import InputError
 from kncal.physics.calibration import PAIR_SOURCE, SPEEDS, Calibration, reference_stiffness
 from kncal.physics.contact_estimators import measure_contact
 from kncal.physics.impact import dimensionless_impact
+from kncal.physics.laws import LAWS
 from kncal.physics.laws.base import ENDS, ContactLaw
-from kncal.physics.laws.registry import get_law
 from kncal.physics.laws.walton_braun import WaltonBraun
 from kncal.physics.material import FloatOrArray, Material, Pair, checked_radius, plain
 
@@ -247,7 +247,7 @@ def predict_error(
         is not a single number in its range.
     """
     n = float(in_range("steps_per_contact", single("steps_per_contact", steps_per_contact), 3.0, 1e5))
-    contact_law = get_law(law)
+    contact_law = LAWS.find(law)
     if isinstance(contact_law, WaltonBraun):
         raise InputError(f"law = {contact_law.name!r}: expected a law without history for the predicted error")
     return _predict(contact_law, single("e_n", e_n), n, one_of("end", end, ENDS))
@@ -263,7 +263,7 @@ def restitution_error(
     e_n is below 1.
     """
     n = float(in_range("steps_per_contact", single("steps_per_contact", steps_per_contact), 0.0, np.inf, low_open=True))
-    contact_law, e = get_law(law), single("e_n", e_n)
+    contact_law, e = LAWS.find(law), single("e_n", e_n)
     if isinstance(contact_law, WaltonBraun) or (contact_law.damping_exponent is None and e < 1.0):
         return None
     if n < 3.0:

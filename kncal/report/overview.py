@@ -10,7 +10,7 @@ import numpy as np
 from kncal.core.checks import Array
 from kncal.core.errors import ValidityError
 from kncal.physics.calibration import calibrate
-from kncal.physics.laws.registry import get_law
+from kncal.physics.laws import LAWS
 from kncal.physics.material import Pair
 from kncal.physics.methods import METHODS
 from kncal.physics.timestep import predict_error
@@ -104,7 +104,7 @@ def error_table(models: Mapping[str, Model], steps: Sequence[float] = STEPS) -> 
         contact = min(model.contacts.values(), key=lambda c: c.t_c)
         for n in sorted({*steps, round(contact.t_c / model.dt, 6)}):
             dt = contact.t_c / n
-            predicted = predict_error(get_law(contact.law).name, contact.e_n, n, contact.end)
+            predicted = predict_error(LAWS.find(contact.law).name, contact.e_n, n, contact.end)
             rows.append(
                 {
                     "model": kind,

@@ -16,7 +16,7 @@ from kncal.core.tables import write_csv, write_json, write_text
 from kncal.core.templating import Page
 from kncal.core.units import percent, quantity
 from kncal.observe.compare import Comparison
-from kncal.physics.methods import get_method
+from kncal.physics.methods import METHODS
 from kncal.report.figures import draw_figures
 from kncal.scene.metrics import metric_text
 from kncal.scene.scene import ContactChoice
@@ -243,7 +243,7 @@ def _method(contact: ContactChoice) -> dict[str, str] | None:
     """What the method keeps and loses; None where the case prescribes k_n."""
     if contact.k_n is not None:
         return None
-    method = get_method(contact.method)
+    method = METHODS.find(contact.method)
     return {name: getattr(method, name) for name in ("name", "title", "source", "keeps", "loses", "avoid")}
 
 

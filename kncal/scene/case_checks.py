@@ -93,7 +93,7 @@ def _names(case: CaseTable) -> Iterator[Problem]:
 
 def contact_problems(contact: ContactTable) -> Iterator[Problem]:
     """Yield what is wrong with the ``[contact]`` of any kind of case, but for the names in its exceptions."""
-    from kncal.physics.laws.registry import LAWS
+    from kncal.physics.laws import LAWS
     from kncal.physics.methods import METHODS
 
     yield from known_name(("contact", "law"), contact.law, LAWS)

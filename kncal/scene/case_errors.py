@@ -50,7 +50,7 @@ def fault(error: ErrorDetails, tables: Mapping[str, Any], root: type[Root] = Cas
 
 def _no_rebound(tables: Mapping[str, Any]) -> str:
     """What to do about e_n = 0 at the step of the case, as far as what it says of it is valid."""
-    from kncal.physics.laws.registry import LAWS
+    from kncal.physics.laws import LAWS
     from kncal.physics.timestep import USUAL_STEPS, instead_of_zero
 
     contact, run = (t if isinstance(t := tables.get(name), Mapping) else {} for name in ("contact", "run"))

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from kncal.core.errors import CaseFileError
 from kncal.physics.calibration import Calibration, calibrate
 from kncal.physics.impact import dimensionless_impact
-from kncal.physics.laws.registry import get_law
+from kncal.physics.laws import LAWS
 from kncal.physics.material import Pair
 from kncal.physics.timestep import contact_time
 from kncal.scene.model import PairContact
@@ -118,7 +118,7 @@ def pair_contact(
         c = float(dimensionless_impact("linear", e_n, contact.end).C) * math.sqrt(stiffness * m_eff)
         k_t = stiffness * float(both.k_t_ratio if ratio is None else ratio)
     else:
-        reference = get_law(contact.law)
+        reference = LAWS.find(contact.law)
         if reference.stiffness_exponent == 1.0:
             raise CaseFileError(
                 f"{scene}: contact.law = {reference.name!r}: expected a Hertz-type reference law for the "

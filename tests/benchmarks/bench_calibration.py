@@ -16,7 +16,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import kncal
-from kncal.physics.laws.registry import LAWS
+from kncal.physics.laws import LAWS
 from kncal.physics.methods import METHODS
 
 OPTIONS = {

@@ -16,7 +16,7 @@ from annotated_types import MaxLen
 
 import kncal
 from kncal import cli
-from kncal.physics.laws.registry import LAWS
+from kncal.physics.laws import LAWS
 from kncal.physics.methods import METHODS
 from kncal.scene import bed_schema, case_schema
 from kncal.scene.bed_case_checks import problems as bed_problems

@@ -214,7 +214,7 @@ def test_linear_reference_is_its_own_equivalent():
 
 
 def test_own_law_is_accepted_where_a_name_is():
-    from kncal.physics.laws.registry import LAWS
+    from kncal.physics.laws import LAWS
 
     own = LAWS["tsuji"]
     assert calibrate(PAIR, v_0=1.0, e_n=0.8, law=own).k_n == calibrate(PAIR, v_0=1.0, e_n=0.8).k_n

@@ -9,8 +9,8 @@ import pytest
 
 from kncal.core.errors import InputError
 from kncal.physics.impact import dimensionless_impact, impact_path
+from kncal.physics.laws import LAWS
 from kncal.physics.laws.base import ENDS
-from kncal.physics.laws.registry import LAWS
 
 
 @pytest.mark.parametrize("bad", [0.0, -0.5, 1.0 + 1e-12, 2.0, np.nan, np.inf, [0.5, np.nan], [0.9, 0.0], "0.5", None])

@@ -79,8 +79,8 @@ def test_advice_means_the_same_n_for_both(law):
 
 
 def test_own_law_from_calibration_to_prediction():
+    from kncal.physics.laws import LAWS
     from kncal.physics.laws.polar import HertzDashpot
-    from kncal.physics.laws.registry import LAWS
 
     own = HertzDashpot(name="mine", damping_exponent=0.5)  # Kuwabara–Kono by another name
     c, known = (calibrate(PAIR, v_0=0.5, e_n=0.8, law=law) for law in (own, "kuwabara_kono"))

@@ -11,7 +11,7 @@ import numpy as np
 from kncal.core.errors import CaseFileError, InputError
 from kncal.core.tables import write_text
 from kncal.physics.fluidization import minimum_fluidization_velocity
-from kncal.physics.laws.registry import get_law
+from kncal.physics.laws import LAWS
 from kncal.physics.methods import METHODS
 from kncal.physics.timestep import predict_error
 from kncal.runs.bed_workflow import start_positions
@@ -110,7 +110,7 @@ def reference_steps(scene: BedScene, steps: tuple[float, ...], tolerance: float)
     chosen = own
     for chosen in sorted({own, *(n for n in steps if n > own)}):
         try:
-            predicted = predict_error(get_law(scene.contact.law), scene.contact.e_n, chosen, scene.contact.end)
+            predicted = predict_error(LAWS.find(scene.contact.law), scene.contact.e_n, chosen, scene.contact.end)
         except InputError:
             continue
         found = max(abs(value) for value in predicted.mean.values())
