@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kncal.engines.base import RunResult
 from kncal.observe.bed_compare import BedRunData
 from kncal.physics.material import Material
 from kncal.record.facts import bed_facts
+from kncal.record.outcome import RunResult
 from kncal.record.series import BedSeries
 from kncal.scene.bed_planning import plan_bed
 from kncal.scene.bed_scene import BedParticles, BedRun, BedScene, Column, Gas

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from models import R, model, on_wall
 
-from kncal.engines.base import RunResult
 from kncal.observe.compare import RunData
 from kncal.observe.contacts import Observations
 from kncal.record.frames import Trajectory
+from kncal.record.outcome import RunResult
 
 
 def path(t: Any, x: Any, v: Any) -> Trajectory:

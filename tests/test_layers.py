@@ -13,12 +13,7 @@ ROOMS = ("core", "physics", "scene", "record", "engines", "observe", "report", "
 FORBIDDEN = {("observe", "engines"), ("report", "engines"), ("study", "exchange")}
 #: Imports that still point the wrong way; the list only gets shorter.
 TODAY = {
-    ("engines.checkpoint", "runs.records"),
     ("engines.coupled", "cli.machine"),
-    ("observe.bed_compare", "engines.base"),
-    ("observe.bed_cost", "engines.base"),
-    ("observe.compare", "engines.base"),
-    ("observe.cost", "engines.base"),
     ("observe.impact_speeds", "report.plots"),
     ("observe.invariants", "engines.loop"),
     ("observe.softness", "study.trade.base"),
@@ -26,11 +21,6 @@ TODAY = {
     ("physics.matrix", "scene.pair_contact"),
     ("physics.matrix", "scene.scene"),
     ("physics.uncertainty", "observe.impact_speeds"),
-    ("record.series", "engines.coupling"),
-    ("scene.exact", "observe.contacts"),
-    ("scene.exact_motion", "engines.builtin.integrator"),
-    ("scene.exact_motion", "observe.contacts"),
-    ("scene.exact_pairs", "observe.contacts"),
     ("scene.packing", "engines.base"),
     ("scene.packing", "engines.liggghts.bed_deck"),
     ("scene.packing", "engines.liggghts.library"),

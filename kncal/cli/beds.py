@@ -11,8 +11,8 @@ from cyclopts import App, Parameter
 from kncal.cli import show
 
 if TYPE_CHECKING:
-    from kncal.engines.base import RunResult
     from kncal.observe.bed_compare import BedComparison
+    from kncal.record.outcome import RunResult
     from kncal.scene.bed_scene import BedScene
 
 Transport = Annotated[

@@ -30,7 +30,7 @@ class ReadError(KncalError, ValueError):
 
 
 class RunError(KncalError, RuntimeError):
-    """A solver run did not end as it should; ``failure`` says of what kind (`kncal.engines.base.FAILURES`)."""
+    """A solver run did not end as it should; ``failure`` says of what kind (`kncal.record.outcome.FAILURES`)."""
 
     def __init__(self, text: str, failure: str = "solver-error") -> None:
         super().__init__(text)
@@ -46,7 +46,7 @@ class SolverMissingError(RunError):
 
 
 def failure_of(error: BaseException) -> str:
-    """Return what kind of failure an error is, one of `kncal.engines.base.FAILURES`."""
+    """Return what kind of failure an error is, one of `kncal.record.outcome.FAILURES`."""
     cause: BaseException | None = error
     while cause is not None:  # an error that was put into words keeps the one that it is about
         if isinstance(cause, OSError) and cause.errno in FULL:

@@ -15,8 +15,8 @@ from pydantic import Field
 from kncal.core.disk import is_full
 from kncal.core.errors import ReadError, RunError
 from kncal.core.files import sha256
+from kncal.core.records import Digests, Record, Seconds, read_record
 from kncal.core.tables import write_json
-from kncal.runs.records import Digests, Record, Seconds, read_record
 
 GAS, PARTICLES = "gas", "particles"
 RECORD = "checkpoint.json"

@@ -15,11 +15,12 @@ from kncal.core.disk import blame
 from kncal.core.errors import InputError, KncalError, ReadError, RunError, SolverMissingError, failure_of
 from kncal.core.mpi import MISSING as NO_MPIRUN
 from kncal.core.mpi import MPIRUN, check_ranks
-from kncal.engines.base import Profile, RunResult
+from kncal.engines.base import Profile
 from kncal.engines.checkpoint import GAS, PARTICLES, last_checkpoint
 from kncal.engines.coupling import Dem, GasTransport
 from kncal.engines.dpmfoam.decomposed import divisions as check_divisions
 from kncal.engines.loop import CoupledCost, CoupledRun, Progress, gas_setup
+from kncal.record.outcome import RunResult
 from kncal.scene.bed_model import BedModel
 from kncal.scene.bed_scene import BedScene
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Protocol
 
 from kncal.core.checks import Array
+from kncal.record.steps import DemStep, GasFields, GasStep
 from kncal.scene.bed_scene import Jet
 
 
@@ -40,44 +41,6 @@ class GasSetup:
     walls: str = "slip"
     front_back: str = "walls"
     parcels_per_particle: int = 1
-
-
-@dataclass(frozen=True, kw_only=True)
-class GasStep:
-    """What one gas step did.
-
-    Attributes
-    ----------
-    force : (n, 3) force of the gas on each particle, buoyancy included [N]
-    p_in : area mean of the gauge pressure at the inlet patch (jet: the jet patch) [Pa]
-    reaction_error : |sum of the drag booked on particles + that booked on the gas| [N], rounding only
-    not_passed : |momentum per time that the gas received and no particle was given| [N]
-    solids_error : relative difference of the solid volume in the void fraction field to that of the particles [-]
-    eps_g_min : smallest void fraction [-]
-    courant_max : largest Courant number U dt/h of the step [-]
-    """
-
-    force: Array
-    p_in: float
-    reaction_error: float
-    not_passed: float
-    solids_error: float
-    eps_g_min: float
-    courant_max: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class GasFields:
-    """Gas fields after the last step; cells in the order x fastest, then y, then z.
-
-    Attributes
-    ----------
-    eps_g : (nz, ny, nx) void fraction; p : (nz, ny, nx) gauge pressure [Pa]; U : (nz, ny, nx, 3) [m/s]
-    """
-
-    eps_g: Array
-    p: Array
-    U: Array
 
 
 class GasTransport(Protocol):
@@ -117,35 +80,6 @@ class GasTransport(Protocol):
     def close(self) -> None:
         """End the solver; leaves no process, file descriptor or shared memory behind. May be called twice."""
         ...
-
-
-@dataclass(frozen=True, kw_only=True)
-class DemStep:
-    """Contacts during one coupling interval.
-
-    Attributes
-    ----------
-    floor_force : force of the particles on the floor, time mean over the interval [N], positive downwards
-    other_walls_force : vertical force of the particles on the side walls (friction) and the lid, likewise; what the
-        momentum balance of the particles leaves for them
-    contacts : number of particle-particle contacts (mean over the samples)
-    overlap_max, overlap_mean : over the interval's samples of all particle-particle contacts [m]
-    histogram : (bins,) counts of overlaps, summed over the samples; edges in `Dem.histogram_edges`
-    watched : time in which new contacts were watched for [s]
-    impacts : (2, bins) counts of the impact speeds of new contacts of two particles, and of a particle and a wall;
-        edges in `Dem.impact_edges`
-    impact_sums : (2, 3) sums over the same impacts of v [m/s], v² and v³
-    """
-
-    floor_force: float
-    other_walls_force: float
-    contacts: float
-    overlap_max: float
-    overlap_mean: float
-    histogram: Array
-    watched: float
-    impacts: Array
-    impact_sums: Array
 
 
 class Dem(Protocol):

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from kncal.core.checks import Array
-from kncal.engines.coupling import GasStep, GasTransport
+from kncal.engines.coupling import GasTransport
+from kncal.record.steps import GasStep
 
 
 def gas_interval(gas: GasTransport, x: Array, v: Array, diameter: Array, density: Array, steps: int) -> GasStep:

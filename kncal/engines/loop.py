@@ -18,10 +18,11 @@ from kncal.core.checks import Array
 from kncal.core.errors import RunError
 from kncal.core.stopping import stop_where_it_suits
 from kncal.engines.checkpoint import write_checkpoint
-from kncal.engines.coupling import Dem, GasSetup, GasStep, GasTransport
+from kncal.engines.coupling import Dem, GasSetup, GasTransport
 from kncal.engines.interval import gas_interval
 from kncal.record.facts import bed_facts
 from kncal.record.series import SeriesWriter
+from kncal.record.steps import GasStep
 from kncal.scene.bed_model import BedModel
 
 #: Momentum booked on particles and on the gas may differ by this share of the bed's weight: rounding only.

@@ -9,7 +9,7 @@ from kncal.record.frames import Trajectory
 from kncal.scene.model import Model
 from kncal.scene.scene import AXES, Particle, Wall
 
-#: What a run died of in which a body went through another one (see `kncal.engines.base.FAILURES`).
+#: What a run died of in which a body went through another one (see `kncal.record.outcome.FAILURES`).
 PASSED_THROUGH = "passed-through"
 
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kncal.core.errors import InputError, RunError
-from kncal.engines.base import RunResult
 from kncal.observe.averages import BedObservations, observe_bed, voidage_difference
 from kncal.observe.bed_cost import BedCost, bed_cost, bed_speed
 from kncal.observe.bed_rows import BedRow, judge, judge_field, row_order
@@ -18,6 +17,7 @@ from kncal.observe.cost import Speed
 from kncal.observe.invariants import Invariant, invariants
 from kncal.observe.known import KnownAnswer, known_answers
 from kncal.observe.quantities import Quantities, quantities
+from kncal.record.outcome import RunResult
 from kncal.record.series import BedSeries
 from kncal.scene.bed_model import BedModel
 

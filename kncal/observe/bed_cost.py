@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from kncal.core.errors import RunError
-from kncal.engines.base import RunResult
 from kncal.observe.cost import Cost, Speed, cost, speed
+from kncal.record.outcome import RunResult
 from kncal.scene.bed_model import BedModel
 
 #: What `RunResult.extra` of a bed run must hold, CPU times in s.

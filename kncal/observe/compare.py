@@ -14,11 +14,11 @@ import numpy as np
 
 from kncal.core.checks import Array
 from kncal.core.errors import InputError, RunError
-from kncal.engines.base import RunResult
 from kncal.observe.cost import Cost, Speed, cost, speed
 from kncal.observe.difference import Difference, Side, difference, finite, metric_names, path_difference, scale_of
 from kncal.observe.verdict import sentences
 from kncal.record.frames import Trajectory
+from kncal.record.outcome import RunResult
 from kncal.scene.limits import no_contact
 from kncal.scene.metrics import ExactRow, MetricRow, judge, metric_order, metric_unit
 from kncal.scene.model import Model, distinct

@@ -17,6 +17,7 @@ from kncal.core.checks import Array
 from kncal.physics.contact_estimators import ContactMeasure, measure_contact
 from kncal.physics.material import sphere_mass
 from kncal.record.frames import Trajectory
+from kncal.scene.contact_event import ContactEvent, Names
 from kncal.scene.model import Model
 from kncal.scene.scene import AXES, Particle, Scene, Wall
 
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 __all__ = [
-    "ContactEvent",
     "ContactMeasure",
     "Observations",
     "OverlapSeries",
@@ -33,40 +33,12 @@ __all__ = [
     "overlaps",
 ]
 
-Names = tuple[str, str]
-
 #: A particle slides on a wall from the start if its first gap is below this share of the radius ...
 _TOUCHING = 1e-3
 #: ... and it approaches or leaves more slowly than this share of its slip speed.
 _ALONG = 1e-3
 #: Below this share of the impact speed a tangential velocity is rounding: the impact is not oblique.
 _OBLIQUE = 1e-9
-
-
-@dataclass(frozen=True, kw_only=True)
-class ContactEvent:
-    """One contact of two bodies.
-
-    Attributes
-    ----------
-    pair : names of the two bodies
-    t_start, t_c : first touch and duration [s]; up to the end of the run for a contact that does not end
-    delta_max, delta_mean : maximum and time mean of the overlap [m]
-    v_in : closing speed at the start [m/s]
-    v_out : leaving speed at the end [m/s], None if the contact does not end
-    e_n : v_out/v_in [-], None for a contact that is not complete or did not start with an approach
-    complete : whether both start and end were seen
-    """
-
-    pair: Names
-    t_start: float
-    t_c: float
-    delta_max: float
-    delta_mean: float
-    v_in: float
-    v_out: float | None
-    e_n: float | None
-    complete: bool
 
 
 @dataclass(frozen=True, kw_only=True)

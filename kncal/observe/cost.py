@@ -9,7 +9,7 @@ import numpy as np
 
 from kncal.core.checks import in_range
 from kncal.core.errors import InputError
-from kncal.engines.base import RunResult
+from kncal.record.outcome import RunResult
 
 #: Below this CPU time [s] a ratio of costs is not to be trusted (starting LIGGGHTS alone takes about 0.1 s).
 CPU_TRUSTED = 1.0

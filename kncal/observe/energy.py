@@ -11,9 +11,10 @@ import numpy as np
 
 from kncal.core.checks import Array
 from kncal.core.errors import ValidityError
-from kncal.observe.contacts import ContactEvent, OverlapSeries, overlaps
+from kncal.observe.contacts import OverlapSeries, overlaps
 from kncal.physics.material import sphere_mass
 from kncal.record.frames import Trajectory
+from kncal.scene.contact_event import ContactEvent
 from kncal.scene.model import Model
 
 

@@ -29,7 +29,7 @@ from kncal.scene.pair_contact import PairNumbers
 from kncal.scene.scene import ContactChoice
 
 if TYPE_CHECKING:
-    from kncal.observe.contacts import ContactEvent
+    from kncal.scene.contact_event import ContactEvent
 
 #: The three speeds, by the names that `contact.measured.statistic` takes.
 STATISTICS: Mapping[str, str] = {

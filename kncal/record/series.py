@@ -21,8 +21,8 @@ from kncal.core.arrays import read_npz
 from kncal.core.checks import Array
 from kncal.core.errors import InputError, ReadError
 from kncal.core.tables import read_json, write_csv, write_json
-from kncal.engines.coupling import DemStep, GasFields, GasStep
 from kncal.record.facts import BedFacts
+from kncal.record.steps import DemStep, GasFields, GasStep
 
 #: A piece is written when it holds this much [bytes], or when the last one is this old [s].
 PIECE_BYTES = 16 * 1024**2
@@ -62,7 +62,7 @@ class BedSeries:
     kinetic_energy : of the particles' translation [J]
     z_mean, z_95 : mean and 95 % quantile of the heights of the particle centres [m]
     overlap_max, overlap_mean : of the particle contacts in the interval [m]; contacts : their number
-    reaction_error, not_passed : see `kncal.engines.coupling.GasStep`, relative to the weight
+    reaction_error, not_passed : see `kncal.record.steps.GasStep`, relative to the weight
     solids_error, eps_g_min, courant_max : see `GasStep`
     histogram : (couplings, bins) counts of overlaps, edges in ``facts.histogram_edges``
     watched : (couplings,) time in which new contacts were watched for [s]; 0 where impacts were not recorded

@@ -14,13 +14,14 @@ from kncal.core.errors import CaseFileError, ReadError, RunError, SolverMissingE
 from kncal.core.scratch import scratch
 from kncal.core.shipped import cache_folder
 from kncal.core.tables import write_json
-from kncal.engines.base import Profile, RunResult
+from kncal.engines.base import Profile
 from kncal.engines.checkpoint import GAS, PARTICLES, last_checkpoint
 from kncal.engines.coupled import Coupled, check_bed_ranks
 from kncal.engines.dpmfoam.case import write_case
 from kncal.engines.liggghts.bed_deck import write_deck
 from kncal.engines.loop import Progress, gas_setup
 from kncal.observe.bed_compare import BedComparison, BedRunData, compare_beds
+from kncal.record.outcome import RunResult
 from kncal.record.series import read_series, series_reaches, write_series_csv
 from kncal.report.bed_page import write_bed_report
 from kncal.runs.folder import (

@@ -28,21 +28,12 @@ from kncal.core.errors import ReadError, RenderError, RunError, failure_of
 from kncal.core.files import MOST_HASHED, read_limited, sha256
 from kncal.core.foreign_templates import foreign_hashes
 from kncal.core.lock import LOCK, locked, sign
+from kncal.core.records import is_record, read_record
 from kncal.core.scratch import sweep_parts
 from kncal.core.tables import write_json
-from kncal.engines.base import FRAMES, Profile, RunResult
-from kncal.runs.records import (
-    ATTEMPT,
-    MANIFEST,
-    RESULT,
-    STARTED,
-    CaseManifest,
-    ModelManifest,
-    Result,
-    Started,
-    is_record,
-    read_record,
-)
+from kncal.engines.base import FRAMES, Profile
+from kncal.record.outcome import RunResult
+from kncal.runs.records import ATTEMPT, MANIFEST, RESULT, STARTED, CaseManifest, ModelManifest, Result, Started
 from kncal.scene.bed_model import BedModel
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import MOST_BYTES, dump_case, load_case

@@ -25,7 +25,7 @@ from kncal.scene.pair_contact import PairNumbers, numbers_of
 from kncal.scene.scene import Scene
 
 if TYPE_CHECKING:
-    from kncal.observe.contacts import ContactEvent
+    from kncal.scene.contact_event import ContactEvent
 
 #: Key of the impacts of single contacts whose pairs are all alike.
 ALL = "all"

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from kncal.core.errors import ReadError
-from kncal.engines.base import RunResult
+from kncal.record.outcome import RunResult
 from kncal.runs.folder import read_manifest, read_result, set_aside
 from kncal.runs.records import RESULT, STARTED
 

@@ -12,9 +12,10 @@ from pathlib import Path
 
 from kncal.core.disk import blame
 from kncal.core.errors import KncalError, ReadError, failure_of
+from kncal.core.records import read_record
 from kncal.core.tables import write_text
-from kncal.engines.base import FAILURES
-from kncal.runs.records import RESULT, STARTED, Started, read_record
+from kncal.record.outcome import FAILURES
+from kncal.runs.records import RESULT, STARTED, Started
 
 _SIZE = 4096  # bytes of the record, mostly blanks
 _NOTED = 500  # characters of a message in it, of at most six bytes

@@ -52,7 +52,7 @@ class RunState:
     ----------
     folder : Path; model : "linear" or "hertz"
     status : one of `STATES`
-    failure : what it died of, one of `kncal.engines.base.FAILURES`; empty if it did not fail
+    failure : what it died of, one of `kncal.record.outcome.FAILURES`; empty if it did not fail
     message : for a person
     owner : who holds the folder, empty if no one does
     cpu_seconds : [s], 0 before the end

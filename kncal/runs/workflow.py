@@ -23,9 +23,10 @@ from kncal.core.errors import (
 )
 from kncal.core.scratch import scratch
 from kncal.core.tables import write_json
-from kncal.engines.base import Engine, Progress, RunResult, run_result
+from kncal.engines.base import Engine, Progress, run_result
 from kncal.observe.compare import Comparison, RunData
 from kncal.observe.contacts import observe
+from kncal.record.outcome import RunResult
 from kncal.runs.folder import (
     case_folder,
     model_manifest,

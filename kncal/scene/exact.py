@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 
 from kncal.core.checks import Array, in_range
 from kncal.core.errors import ValidityError
-from kncal.observe.contacts import ContactEvent
 from kncal.physics.closed_forms import DampedBounce, GrossSliding, SlipEnd, damped_bounce, gross_sliding, slip_end
+from kncal.scene.contact_event import ContactEvent
 from kncal.scene.exact_motion import EventMotion
 from kncal.scene.exact_pairs import Segment
 from kncal.scene.model import Model

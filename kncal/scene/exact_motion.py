@@ -17,9 +17,9 @@ import numpy as np
 
 from kncal.core.checks import Array
 from kncal.core.errors import ValidityError
-from kncal.engines.builtin.integrator import normal_force
-from kncal.observe.contacts import ContactEvent
 from kncal.physics.material import sphere_mass
+from kncal.physics.normal_force import normal_force
+from kncal.scene.contact_event import ContactEvent
 from kncal.scene.exact_pairs import BodyPair, Segment, pairs_of
 from kncal.scene.flight import pair_touch_time, wall_touch_time
 from kncal.scene.model import Model
@@ -299,7 +299,7 @@ class EventMotion:
     def _force(self, k: int) -> Callable[[float, float], float]:
         """The force of a contact, before any cut, continued to small gaps for trial points beyond the end."""
         contact = self.pairs[k].contact
-        law = normal_force(contact, cut=False)
+        law = normal_force(contact.k, contact.n, contact.c, contact.p)
         if contact.n == 1.0 and contact.p == 0.0:
             return law
         return lambda delta, rate: law(delta, rate) if delta > 0.0 else 0.0

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kncal.core.checks import Array
-from kncal.observe.contacts import Names
+from kncal.scene.contact_event import Names
 from kncal.scene.model import Model, PairContact
 from kncal.scene.scene import AXES, Particle, Wall
 

@@ -18,11 +18,12 @@ from pydantic import Field
 from kncal import __version__
 from kncal.core.errors import KncalError, ReadError
 from kncal.core.files import sha256
+from kncal.core.records import Record, Sha256, read_record
 from kncal.core.scratch import replacing
 from kncal.core.tables import MAX_JSON_BYTES
-from kncal.engines.base import RunResult
+from kncal.record.outcome import RunResult
 from kncal.runs.folder import ROW, read_result
-from kncal.runs.records import RESULT, Record, Sha256, read_record
+from kncal.runs.records import RESULT
 from kncal.study.design import Sweep, run_folder
 
 #: Why a run did not complete, by its status where that says it.

@@ -38,7 +38,7 @@ class VariantRun:
     Attributes
     ----------
     variant : Variant
-    status : of `kncal.engines.base.RunResult` ("completed", "failed", "timed_out" ...), or `REFUSED`
+    status : of `kncal.record.outcome.RunResult` ("completed", "failed", "timed_out" ...), or `REFUSED`
     failure, message : why it did not complete; both empty if it did
     folder : its model's run folder in the first round, for `kncal.runs.workflow.load_run` or
         `kncal.runs.bed_workflow.load_bed_run`; None if refused

@@ -21,7 +21,7 @@ from kncal.core.checks import short
 from kncal.core.errors import ReadError
 from kncal.core.files import read_limited
 from kncal.core.tables import write_text
-from kncal.engines.base import STATUSES
+from kncal.record.outcome import STATUSES
 from kncal.runs.records import RESULT, STARTED
 from kncal.runs.started import end_without_result
 from kncal.runs.states import holder
@@ -29,7 +29,7 @@ from kncal.study.design import RUNS, Sweep, read_design
 from kncal.study.rows import failure_class
 
 STATES = "states.jsonl"
-#: What a run can be: these, and the statuses of `kncal.engines.base.STATUSES`. "unfinished": started, without a
+#: What a run can be: these, and the statuses of `kncal.record.outcome.STATUSES`. "unfinished": started, without a
 #: result, and nobody works on it any more (it was killed).
 WAITING, RUNNING, UNFINISHED = "waiting", "running", "unfinished"
 _NEWEST = 10
@@ -75,7 +75,7 @@ class SweepStatus:
     ----------
     folder, name : of the sweep, and of its case
     total : number of runs
-    counts : status -> number of runs, of "waiting", "running", "unfinished" and `kncal.engines.base.STATUSES`
+    counts : status -> number of runs, of "waiting", "running", "unfinished" and `kncal.record.outcome.STATUSES`
     failures : failure class -> number of runs
     running : the runs that somebody works on
     newest : the failures with the newest results first, at most ten

@@ -13,10 +13,10 @@ from gas_columns import MU, RHO_G, D, G
 
 from kncal.core.checks import Array
 from kncal.core.errors import ReadError, RunError, SolverMissingError
-from kncal.engines.coupling import GasStep
 from kncal.engines.dpmfoam.case import write_case
 from kncal.engines.dpmfoam.restart import RestartGas
 from kncal.record.openfoam import read_case, read_cells
+from kncal.record.steps import GasStep
 from kncal.scene.bed_scene import Jet
 
 pytestmark = columns.needs_openfoam

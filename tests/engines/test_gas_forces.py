@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kncal.core.errors import InputError, RunError
-from kncal.engines.coupling import GasStep
 from kncal.engines.dpmfoam.case import check_setup
 from kncal.engines.dpmfoam.forces import Exchange, Parcels, drag_density, satellite_offsets
 from kncal.engines.dpmfoam.grid import Grid
+from kncal.record.steps import GasStep
 from kncal.scene.bed_scene import Jet
 
 

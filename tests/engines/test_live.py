@@ -18,10 +18,11 @@ from gas_columns import RHO, VOLUME, G, alike, needs_openfoam, packing, setup
 
 from kncal.core import solver_process
 from kncal.core.errors import InputError, RunError
-from kncal.engines.coupling import GasSetup, GasStep, GasTransport
+from kncal.engines.coupling import GasSetup, GasTransport
 from kncal.engines.dpmfoam import adapter_build, memory
 from kncal.engines.dpmfoam.live import LiveGas
 from kncal.engines.dpmfoam.restart import RestartGas
+from kncal.record.steps import GasStep
 from kncal.scene.bed_scene import Jet
 
 pytestmark = needs_openfoam

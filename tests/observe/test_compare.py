@@ -201,7 +201,7 @@ def test_a_tolerance_below_the_discretisation_error_is_named_where_it_decides():
 
 
 def test_what_limits_the_contacts_that_happened_is_in_the_verdict():
-    from kncal.observe.contacts import ContactEvent
+    from kncal.scene.contact_event import ContactEvent
 
     event = ContactEvent(
         pair=("bead", "floor"),

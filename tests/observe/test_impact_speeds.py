@@ -11,7 +11,6 @@ from bed_runs import correlated, facts, series
 
 from kncal.core.errors import InputError
 from kncal.engines.liggghts.impacts import count_speeds, speed_edges
-from kncal.observe.contacts import ContactEvent
 from kncal.observe.impact_speeds import (
     bed_impact_speeds,
     contact_impact_speeds,
@@ -22,6 +21,7 @@ from kncal.observe.impact_speeds import (
 )
 from kncal.physics.material import Material, pair
 from kncal.record.series import BedSeries
+from kncal.scene.contact_event import ContactEvent
 from kncal.scene.pair_contact import PairNumbers
 from kncal.scene.scene import ContactChoice
 

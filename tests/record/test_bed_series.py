@@ -11,8 +11,8 @@ import pytest
 from bed_runs import facts
 
 from kncal.core.errors import InputError, ReadError
-from kncal.engines.coupling import DemStep, GasFields, GasStep
 from kncal.record.series import UNITS, SeriesWriter, read_series, write_series_csv
+from kncal.record.steps import DemStep, GasFields, GasStep
 
 SMALL = facts(count=20, cells=(3, 2, 4), histogram_edges=(0.0, 1e-6, 1e-5, 1e-4), impact_edges=(0.0, 0.1, 1.0))
 

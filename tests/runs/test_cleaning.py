@@ -13,8 +13,8 @@ import pytest
 
 from kncal.core.errors import ReadError, RenderError
 from kncal.core.lock import locked, sign
-from kncal.engines.base import FAILURES
 from kncal.engines.builtin import Builtin
+from kncal.record.outcome import FAILURES
 from kncal.runs.cleaning import clean, plan_cleaning
 from kncal.runs.records import RESULT
 from kncal.runs.states import ADVICE, STATES, case_states, run_state

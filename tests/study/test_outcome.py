@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from kncal.core.errors import CaseFileError, RunError
-from kncal.engines.base import FAILURES
 from kncal.engines.builtin.integrator import integrate
 from kncal.engines.tunnelling import passages
 from kncal.record.frames import Trajectory
+from kncal.record.outcome import FAILURES
 from kncal.scene.case_file import load_case
 from kncal.scene.model import Model
 from kncal.study.stability import outcome as outcomes

@@ -11,10 +11,11 @@ from pathlib import Path
 from kncal import __version__
 from kncal.core.awake import awake
 from kncal.core.errors import KncalError, RenderError, failure_of
-from kncal.engines.base import FRAMES, Profile, Progress, RunResult, read_frames, run_result
+from kncal.engines.base import FRAMES, Profile, Progress, read_frames, run_result
 from kncal.engines.builtin.integrator import check, integrate
 from kncal.record.frames import Trajectory
 from kncal.record.liggghts_dump import write_trajectory
+from kncal.record.outcome import RunResult
 from kncal.scene.model import Model
 
 SCRIPT = "Allrun"

@@ -22,6 +22,7 @@ import numpy as np
 from kncal.core.errors import RenderError, RunError
 from kncal.engines.tunnelling import PASSED_THROUGH
 from kncal.physics.material import sphere_mass
+from kncal.physics.normal_force import Force, normal_force
 from kncal.record.frames import Trajectory
 from kncal.scene.flight import pair_touch_time, wall_touch_time
 from kncal.scene.model import Model, PairContact
@@ -34,35 +35,13 @@ MOST_FRAMES, MOST_NUMBERS = 5_000_000, 60_000_000
 #: Whole steps left before the next touch when a flight is passed in one stride.
 _STRIDE_MARGIN = 2
 
-Force = Callable[[float, float], float]
 #: Adds the forces of one contact; the argument says whether the tangential spring moves. Returns the gap [m].
 _Apply = Callable[[bool], float]
 _Vector = tuple[float, float, float]
 
 
-def normal_force(contact: PairContact, *, cut: bool = True) -> Force:
-    """Return F(delta, delta_dot) = k delta^n + c delta^p delta_dot [N]; if ``cut``, the force end has no attraction."""
-    k, n, c, p = contact.k, contact.n, contact.c, contact.p
-    force: Force
-    if n == 1.0 and p == 0.0:
-
-        def force(delta: float, rate: float) -> float:
-            return k * delta + c * rate
-
-    elif n == 1.5 and (p == 0.25 or c == 0.0):
-
-        def force(delta: float, rate: float) -> float:
-            root = sqrt(delta)
-            return k * delta * root + c * sqrt(root) * rate
-
-    else:
-
-        def force(delta: float, rate: float) -> float:
-            return float(k * delta**n + c * delta**p * rate)
-
-    if cut and contact.end == "force":
-        return lambda delta, rate: max(force(delta, rate), 0.0)
-    return force
+def _law(contact: PairContact) -> Force:
+    return normal_force(contact.k, contact.n, contact.c, contact.p, cut=contact.end == "force")
 
 
 class _Motion:
@@ -254,7 +233,11 @@ def _wall_contact(model: Model, contact: PairContact, motion: _Motion, i: int, w
     axis = AXES.index(wall.axis)
     n, b, c = 3 * i + axis, 3 * i + (axis + 1) % 3, 3 * i + (axis + 2) % 3
     side = 1.0 if x[n] > plane else -1.0
-    law, mu, spring = normal_force(contact), contact.friction, _spring(contact)
+    law, mu, spring = (
+        normal_force(contact.k, contact.n, contact.c, contact.p, cut=contact.end == "force"),
+        contact.friction,
+        _spring(contact),
+    )
     who = f"{model.scene.particles[i].name}–{wall.name}"
     s_b = s_c = 0.0
 
@@ -297,7 +280,11 @@ def _pair_contact(model: Model, contact: PairContact, motion: _Motion, i: int, j
     r_i, r_j = float(first.radius), float(second.radius)
     r_sum, nearest = r_i + r_j, max(r_i, r_j)
     i0, i1, i2, j0, j1, j2 = 3 * i, 3 * i + 1, 3 * i + 2, 3 * j, 3 * j + 1, 3 * j + 2
-    law, mu, friction = normal_force(contact), contact.friction, _PairFriction(contact, motion, i, j)
+    law, mu, friction = (
+        normal_force(contact.k, contact.n, contact.c, contact.p, cut=contact.end == "force"),
+        contact.friction,
+        _PairFriction(contact, motion, i, j),
+    )
     who = f"{first.name}–{second.name}"
 
     def apply(moving: bool) -> float:

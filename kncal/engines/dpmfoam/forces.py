@@ -26,9 +26,10 @@ from numpy.typing import NDArray
 
 from kncal.core.checks import Array
 from kncal.core.errors import RunError
-from kncal.engines.coupling import GasFields, GasSetup, GasStep
+from kncal.engines.coupling import GasSetup
 from kncal.engines.dpmfoam.grid import Grid, Labels
 from kncal.physics.fluidization import drag_per_slip
+from kncal.record.steps import GasFields, GasStep
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,7 +15,7 @@ from pathlib import Path
 from kncal.core.checks import Array, in_range, positive
 from kncal.core.errors import InputError, RunError
 from kncal.core.solver_process import PeerLostError, SolverProcess
-from kncal.engines.coupling import GasFields, GasSetup, GasStep
+from kncal.engines.coupling import GasSetup
 from kncal.engines.dpmfoam.adapter_build import LIBRARY, AdapterError
 from kncal.engines.dpmfoam.case import (
     SOLVER,
@@ -30,6 +30,7 @@ from kncal.engines.dpmfoam.case import (
 )
 from kncal.engines.dpmfoam.forces import Exchange
 from kncal.engines.dpmfoam.memory import ExchangeMemory
+from kncal.record.steps import GasFields, GasStep
 
 _END, _STEP, _SAVE = 0, 1, 2  # commands of the adapter
 _NEVER = 1_000_000_000  # steps between written time folders

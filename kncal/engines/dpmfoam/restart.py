@@ -16,7 +16,7 @@ import numpy as np
 from kncal.core.checks import Array, in_range, positive
 from kncal.core.errors import RunError
 from kncal.core.mpi import check_ranks
-from kncal.engines.coupling import GasFields, GasSetup, GasStep
+from kncal.engines.coupling import GasSetup
 from kncal.engines.dpmfoam.case import (
     INLET,
     SOLVER,
@@ -39,6 +39,7 @@ from kncal.record.openfoam import (
     write_parcel_constants,
     write_parcel_motion,
 )
+from kncal.record.steps import GasFields, GasStep
 
 
 class RestartGas:

@@ -16,12 +16,13 @@ from kncal.core.process import run_process, solver_environment
 from kncal.core.scratch import scratch
 from kncal.core.shipped import folder as shipped_folder
 from kncal.core.templating import render
-from kncal.engines.base import FRAMES, Profile, Progress, RunResult, read_frames, run_result
+from kncal.engines.base import FRAMES, Profile, Progress, read_frames, run_result
 from kncal.engines.liggghts.deck import deck_context
 from kncal.engines.liggghts.diagnose import Diagnosis, diagnose_liggghts
 from kncal.engines.tunnelling import PASSED_THROUGH, passages
 from kncal.record.frames import Trajectory
 from kncal.record.liggghts_log import END_MARKER, step_of_line
+from kncal.record.outcome import RunResult
 from kncal.scene.model import Model
 
 PROGRAM = "liggghts"

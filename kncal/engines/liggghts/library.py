@@ -32,10 +32,10 @@ from kncal.core.scratch import held_scratch
 from kncal.core.solver_process import receive, silent
 from kncal.core.stopping import shielded_start
 from kncal.core.text import decode_line
-from kncal.engines.coupling import DemStep
 from kncal.engines.liggghts.bed_deck import DECK, RESTART, as_rows, middle, sides, write_deck
 from kncal.engines.liggghts.impacts import speed_edges
 from kncal.engines.liggghts.library_child import LIBRARY, MAX_MESSAGE, SAVED_FORCES, Shared, histogram_edges
+from kncal.record.steps import DemStep
 from kncal.scene.bed_model import BedModel
 
 LOG = "log.liggghts"

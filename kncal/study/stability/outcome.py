@@ -60,7 +60,7 @@ class Outcome:
 
 
 def outcome_of_failure(failure: str, message: str) -> Outcome:
-    """Return the outcome of a run that did not complete; ``failure`` is one of `kncal.engines.base.FAILURES`."""
+    """Return the outcome of a run that did not complete; ``failure`` is one of `kncal.record.outcome.FAILURES`."""
     codes = {PASSED_THROUGH: TUNNELLING, "lost-particles": LOST, "not-finite": NOT_FINITE, "bad-input": REFUSED}
     return Outcome(code=codes.get(failure, FAILED), message=message)
 

@@ -27,13 +27,14 @@ import numpy as np
 from kncal import __version__
 from kncal.core.awake import awake
 from kncal.core.errors import InterruptedRunError, ReadError
+from kncal.core.records import Count, Inside, Record, Seconds, read_record
 from kncal.core.tables import write_json
-from kncal.engines.base import RunResult
 from kncal.engines.checkpoint import last_checkpoint
 from kncal.observe.bed_compare import BedRunData
+from kncal.record.outcome import RunResult
 from kncal.record.series import read_series
 from kncal.runs.folder import read_model_folder, read_result
-from kncal.runs.records import RESULT, Count, Inside, Record, Seconds, read_record
+from kncal.runs.records import RESULT
 from kncal.scene.bed_model import BedModel
 from kncal.scene.bed_planning import plan_bed
 from kncal.scene.bed_scene import BedScene
