@@ -28,7 +28,8 @@ def end(error: BaseException, *, json: bool) -> int:
     """Tell of ``error`` on standard error, and as a JSON object on standard output if ``json``; return the exit code.
 
     The object has ``error`` (the text), ``kind`` (of `kncal.record.outcome.FAILURES`, or "interrupted",
-    "not-installed", "not-writable", "out-of-memory", "unexpected") and ``exit_code``. It is left out where a result was printed before.
+    "not-installed", "not-writable", "out-of-memory", "unexpected") and ``exit_code``. It is left out where a result was
+    printed before.
     """
     text, kind, code = explain(error)
     if not isinstance(error, CycloptsError):  # which prints its own text
