@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
@@ -98,6 +99,26 @@ def in_range(
 def positive(name: str, value: ArrayLike, *, unit: str = "", hint: str = "") -> Array:
     """Return ``value`` as a float array of positive finite numbers; see `in_range` for the error."""
     return in_range(name, value, 0.0, np.inf, low_open=True, unit=unit, hint=hint)
+
+
+@dataclass(frozen=True)
+class Range:
+    """The numbers that a value may be, [low, high] or (low, high]; a check, which the reference pages read too."""
+
+    low: float
+    high: float
+    unit: str = ""
+    hint: str = ""
+    low_open: bool = False
+
+    def check(self, name: str, value: ArrayLike) -> Array:
+        """Return ``value`` as a float array; see `in_range` for the error."""
+        return in_range(name, value, self.low, self.high, low_open=self.low_open, unit=self.unit, hint=self.hint)
+
+    def __call__(self, value: float) -> float:
+        """Return a number as it is, checked."""
+        self.check("value", value)
+        return value
 
 
 def single(name: str, value: ArrayLike) -> float:

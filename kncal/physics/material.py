@@ -10,13 +10,20 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kncal.core.checks import Array, common_shape, in_range, instance, positive
+from kncal.core.checks import Array, Range, common_shape, in_range, instance, positive
 
 FloatOrArray = float | Array
 
 #: Radii that have a contact mechanics [m]: from a few atoms to a kilometre.
 RADII = (1e-9, 1e3)
 _MATERIAL = "made by kncal.Material"
+#: What the numbers of a material may be.
+RANGES = {
+    "young": Range(1e3, 1e13, "Pa", "Young's modulus is in Pa: 70 GPa is 70e9"),
+    "poisson": Range(0.0, 0.5),
+    "density": Range(10.0, 1e6, "kg/m³", "2.5 g/cm³ is 2500 kg/m³"),
+    "yield_strength": Range(1.0, 1e13, "Pa"),
+}
 
 
 def plain(value: Array) -> FloatOrArray:
@@ -54,15 +61,8 @@ class Material:  # noqa: PLW1641 - the dataclass makes its hash
     name: str = ""
 
     def __post_init__(self) -> None:
-        checked = {
-            "young": in_range(
-                "young", self.young, 1e3, 1e13, unit="Pa", hint="Young's modulus is in Pa: 70 GPa is 70e9"
-            ),
-            "poisson": in_range("poisson", self.poisson, 0.0, 0.5),
-            "density": in_range("density", self.density, 10.0, 1e6, unit="kg/m³", hint="2.5 g/cm³ is 2500 kg/m³"),
-        }
-        if self.yield_strength is not None:
-            checked["yield_strength"] = in_range("yield_strength", self.yield_strength, 1.0, 1e13, unit="Pa")
+        given = {key: value for key in RANGES if (value := getattr(self, key)) is not None or key != "yield_strength"}
+        checked = {key: RANGES[key].check(key, value) for key, value in given.items()}
         common_shape(**checked)
         instance("name", self.name, str, "a short text")
         for key, value in checked.items():

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from kncal.core.checks import in_range, one_of
+from kncal.core.checks import Range, one_of
 from kncal.core.errors import InputError
 from kncal.core.registry import Registry
 from kncal.physics.impact import DimensionlessImpact
@@ -22,15 +22,14 @@ from kncal.physics.material import FloatOrArray, Pair, plain
 #: Strain-energy equivalence with elastic Hertz: kappa = (4/5)^(4/5).
 KAPPA_STRAIN_ENERGY = 0.8**0.8
 
-#: Options that are numbers: range, unit, hint. Wide, but every stiffness within them is a finite number.
-_RANGES = {
-    "fraction": (1e-9, 1.0, "", "a fraction of the length, usually 0.001 to 0.01"),
-    "t_c": (1e-15, 1e6, "s", "a contact usually lasts 1e-6 to 1e-3 s"),
-    "force": (1e-30, 1e20, "N", "for example the weight of a particle"),
-    "factor": (1e-9, 1e6, "", "1 by convention"),
+#: What options may be: a range (wide, but every stiffness within it is a finite number), or words.
+OPTIONS: Mapping[str, Range | tuple[str, ...]] = {
+    "fraction": Range(1e-9, 1.0, hint="a fraction of the length, usually 0.001 to 0.01"),
+    "of": ("diameter", "sum_of_radii"),
+    "t_c": Range(1e-15, 1e6, "s", "a contact usually lasts 1e-6 to 1e-3 s"),
+    "force": Range(1e-30, 1e20, "N", "for example the weight of a particle"),
+    "factor": Range(1e-9, 1e6, hint="1 by convention"),
 }
-#: Options that are words: what they may be.
-_WORDS = {"of": ("diameter", "sum_of_radii")}
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,10 +92,8 @@ class Method:
 
 
 def _option(name: str, value: Any) -> FloatOrArray | str:
-    if name in _WORDS:
-        return one_of(name, value, _WORDS[name])
-    low, high, unit, hint = _RANGES[name]
-    return plain(in_range(name, value, low, high, unit=unit, hint=hint))
+    allowed = OPTIONS[name]
+    return plain(allowed.check(name, value)) if isinstance(allowed, Range) else one_of(name, value, allowed)
 
 
 def _mean_overlap(q: MethodInputs) -> FloatOrArray:

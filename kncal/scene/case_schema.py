@@ -12,7 +12,7 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidatorFunctionWrapHandler, WrapValidator
 
-from kncal.core.checks import in_range, positive
+from kncal.core.checks import Range, positive
 
 #: Names end up in folder names, decks and web pages: letters, digits and a few harmless signs.
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
@@ -36,22 +36,12 @@ def _line(text: str) -> str:
 
 def within(low: float, high: float, unit: str = "", hint: str = "") -> AfterValidator:
     """Return a validator for a number in [low, high]."""
-
-    def check(value: float) -> float:
-        in_range("value", value, low, high, unit=unit, hint=hint)
-        return value
-
-    return AfterValidator(check)
+    return AfterValidator(Range(low, high, unit, hint))
 
 
 def above_zero(unit: str = "", hint: str = "", high: float = np.inf) -> AfterValidator:
     """Return a validator for a number in (0, high]."""
-
-    def check(value: float) -> float:
-        in_range("value", value, 0.0, high, low_open=True, unit=unit, hint=hint)
-        return value
-
-    return AfterValidator(check)
+    return AfterValidator(Range(0.0, high, unit, hint, low_open=True))
 
 
 def _or_measured(value: object, check: ValidatorFunctionWrapHandler) -> object:

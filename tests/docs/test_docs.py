@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import re
 import shlex
 import tomllib
@@ -12,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from annotated_types import MaxLen
 
 import kncal
 from kncal import cli
@@ -22,11 +22,9 @@ from kncal.scene import bed_schema, case_schema
 from kncal.scene.bed_case_checks import problems as bed_problems
 from kncal.scene.bed_case_file import parse_bed
 from kncal.scene.bed_limits import check_bed
-from kncal.scene.bed_metrics import BED_METRICS
 from kncal.scene.bed_planning import plan_bed
 from kncal.scene.case_checks import problems
 from kncal.scene.case_file import parse_case, shipped_cases
-from kncal.scene.metrics import METRICS
 from kncal.scene.needs import OVERRULABLE
 from kncal.scene.plan import plan
 
@@ -192,82 +190,33 @@ def test_links_lead_somewhere(page: Path) -> None:
 
 # --- completeness -------------------------------------------------------------------------------------------
 
-TABLES: dict[str, type[case_schema.Table]] = {
-    "Top level": case_schema.CaseTable,
-    "`[materials.NAME]`": case_schema.MaterialTable,
-    "`[[particles]]`": case_schema.ParticleTable,
-    "`[[walls]]`": case_schema.WallTable,
-    "`[contact]`": case_schema.ContactTable,
-    "`[contact.measured]`": case_schema.MeasuredTable,
-    "`[[contact.pairs]]`": case_schema.PairTable,
-    "`[run]`": case_schema.RunTable,
-}
+
+def _generator() -> Any:
+    spec = importlib.util.spec_from_file_location("make_reference", ROOT / "docs/make_reference.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
-BED_TABLES: dict[str, type[case_schema.Table]] = {
-    "Top level": bed_schema.BedTable,
-    "`[column]`": bed_schema.ColumnTable,
-    "`[particles]`": bed_schema.BedParticlesTable,
-    "`[gas]`": bed_schema.GasTable,
-    "`[gas.jet]`": bed_schema.JetTable,
-    "`[run]`": bed_schema.BedRunTable,
-}
+@pytest.mark.parametrize("page", [CASE_FILE, BED_FILE], ids=_name)
+def test_tables_of_the_reference_are_as_the_schema_is_now(page: Path, tmp_path: Path) -> None:
+    """Made anew from empty tables the page is the same; else run python docs/make_reference.py."""
+    emptied = tmp_path / page.name
+    emptied.write_text(
+        re.sub(r"(<!-- table: .*? -->\n).*?(<!-- end -->)", r"\1\2", page.read_text("utf-8"), flags=re.S)
+    )
+    assert emptied.read_text("utf-8") != text
+    assert _generator().make(emptied) == text
 
 
-@pytest.mark.parametrize(
-    ("page", "heading", "table"),
-    [(CASE_FILE, *item) for item in TABLES.items()] + [(BED_FILE, *item) for item in BED_TABLES.items()],
-    ids=lambda value: value if isinstance(value, str) else "",
-)
-def test_every_key_of_the_case_file_stands_with_its_default(
-    page: Path, heading: str, table: type[case_schema.Table]
-) -> None:
-    fields = table.model_fields
-    # keys that share their meaning share a row: `width`, `depth`, `height`
-    rows = {key: row for row in _rows(_section(page, heading)) for key in re.findall(r"`(\w+)`", row[0])}
-    assert set(rows) == set(fields)
-    for key, field in fields.items():
-        default = rows[key][3]
-        if field.is_required():
-            assert default == "required", key
-        elif default.startswith("`"):
-            assert tomllib.loads(f"x = {default.strip('`')}")["x"] == field.get_default(), key
-        else:
-            # "–": nothing; in words: the defaults of a whole table
-            assert field.get_default(call_default_factory=True) in (
-                None,
-                case_schema.ContactTable.model_validate({}),
-            ), key
-
-
-@pytest.mark.parametrize(
-    ("page", "heading", "table"),
-    [(CASE_FILE, *item) for item in TABLES.items()] + [(BED_FILE, *item) for item in BED_TABLES.items()],
-    ids=lambda value: value if isinstance(value, str) else "",
-)
-def test_the_most_entries_of_a_list_stand_in_its_row(page: Path, heading: str, table: type[case_schema.Table]) -> None:
-    rows = {key: row for row in _rows(_section(page, heading)) for key in re.findall(r"`(\w+)`", row[0])}
-    for key, field in table.model_fields.items():
-        most = next((m.max_length for m in field.metadata if isinstance(m, MaxLen)), None)
-        if most is not None and most > 3:  # not of a vector
-            numbers = [int(float(n)) for n in re.findall(r"\d[\d ]*(?:e\d+)?", rows[key][4].replace("\u202f", ""))]
-            assert most in numbers, f"{key}: {rows[key][4]}"
-
-
-def test_every_option_metric_and_overrule_stands_in_the_case_file_page() -> None:
-    rows = _rows(_section(CASE_FILE, "`[contact.options]`"))
-    shown = {(row[0].strip("`"), row[1].strip("`")): row[4] for row in rows}
-    wanted = {(m.name, key): "required" for m in METHODS.values() for key in m.required}
-    wanted |= {
-        (m.name, key): f"`{value!r}`".replace("'", '"')
-        for m in METHODS.values()
-        for key, value in (m.optional or {}).items()
-    }
-    assert shown == wanted
-    metrics = " ".join(row[0] for row in _rows(_section(BED_FILE, "`[tolerances]`")))
-    assert set(BED_METRICS) == set(re.findall(r"`(\w+)`", metrics))
-    metrics = " ".join(row[0] for row in _rows(_section(CASE_FILE, "`[tolerances]`")))
-    assert set(METRICS) <= set(re.findall(r"`(\w+)`", metrics))
+def test_every_table_of_the_schema_and_every_registry_stands_in_the_reference() -> None:
+    roots = (case_schema.CaseTable, bed_schema.BedTable)
+    tables = {part for root in roots for part in (root, *root.parts.values())} | {case_schema.MaterialTable}
+    wanted = {f"{table.__module__}.{table.__name__}" for table in tables}
+    wanted |= {"kncal.physics.methods.METHODS", "kncal.scene.metrics.METRICS", "kncal.scene.bed_metrics.BED_METRICS"}
+    shown = "".join(page.read_text("utf-8") for page in (CASE_FILE, BED_FILE))
+    assert set(re.findall(r"<!-- table: (.*?) -->", shown)) == wanted
     assert {row[0].strip("`") for row in _rows(_section(CASE_FILE, "`[needs]`"))} == set(OVERRULABLE)
 
 

@@ -1,0 +1,157 @@
+"""Write the tables of the reference pages anew, from the schema of case files and the registries.
+
+    python docs/make_reference.py            # write the pages
+    python docs/make_reference.py --check    # say which are out of date (exit code 1)
+
+In a page, what stands between ``<!-- table: MODULE.NAME -->`` and ``<!-- end -->`` is made from that object: the keys
+of a table of the schema, the options of methods, or the metrics of a registry. All else is written by hand.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import re
+import sys
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from types import NoneType
+from typing import Any, Literal, get_args, get_origin
+
+import numpy as np
+from annotated_types import MaxLen, MinLen
+from pydantic import AfterValidator, BaseModel, WrapValidator
+from pydantic.fields import FieldInfo
+from pydantic_core import PydanticUndefined
+
+from kncal.core.checks import Range
+from kncal.physics.material import RANGES
+from kncal.physics.methods import METHODS, OPTIONS
+from kncal.scene.case_schema import MEASURED, MaterialTable
+
+PAGES = ("docs/case-file.md", "docs/bed-case-file.md")
+MARKED = re.compile(r"(<!-- table: ([\w.]+) -->\n).*?(<!-- end -->)", re.S)
+
+
+def table(heads: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """Return a table in Markdown."""
+    heads = list(heads)
+    return "".join(f"| {' | '.join(row)} |\n" for row in [heads, ["---"] * len(heads), *rows])
+
+
+def number(value: float) -> str:
+    """Return a bound as people write it: 0.5, 1000, 1e6."""
+    text = f"{value:.0e}"
+    short = float(text) == value and not 1e-2 <= abs(value) < 1e4 and value
+    return re.sub(r"e([+-])0*", lambda sign: f"e{sign[1].strip('+')}", text) if short else f"{value:.10g}"
+
+
+def bounds(low: float, high: float, low_open: bool = False) -> str:
+    """Return a range in words."""
+    if low_open:
+        return f"> {number(low)}" + ("" if np.isinf(high) else f", up to {number(high)}")
+    return f"{number(low)} to {number(high)}"
+
+
+def code(value: object) -> str:
+    """Return a value as TOML has it."""
+    return f"`{json.dumps(value, ensure_ascii=False)}`"
+
+
+def ranges(annotation: Any, metadata: Iterable[Any] = ()) -> Iterator[str]:
+    """Yield what the values of an annotation are checked for, from the inside out."""
+    if get_origin(annotation) is Literal:
+        yield ", ".join(code(choice) for choice in get_args(annotation))
+    elif get_origin(annotation) is list:
+        inner = [text.removeprefix("each ") for text in ranges(*get_args(annotation))]
+        yield from (f"each {text}" for text in (", ".join(inner),) if text)
+    elif hasattr(annotation, "__metadata__"):
+        yield from ranges(annotation.__origin__, annotation.__metadata__)
+    elif NoneType in get_args(annotation):
+        yield from ranges(next(a for a in get_args(annotation) if a is not NoneType))
+    elif annotation is int:
+        yield "integer"
+    elif annotation is bool:
+        yield "`true`, `false`"
+    for check in _checks(metadata):
+        if isinstance(check, Range):
+            yield bounds(check.low, check.high, check.low_open)
+        elif isinstance(check, WrapValidator):
+            yield f"or {code(MEASURED)}"
+    lengths = {type(m): m for m in _checks(metadata) if isinstance(m, MinLen | MaxLen)}
+    least = lengths[MinLen].min_length if MinLen in lengths else 0
+    if MaxLen in lengths and lengths[MaxLen].max_length > max(least, 3):
+        yield f"{least} to {number(lengths[MaxLen].max_length)} of them"
+    elif least == 1:
+        yield "at least one"
+
+
+def _checks(metadata: Iterable[Any]) -> Iterator[Any]:
+    for item in metadata:
+        if isinstance(item, FieldInfo):
+            yield from item.metadata
+        else:
+            yield item.func if isinstance(item, AfterValidator) else item
+
+
+def default(field: FieldInfo) -> str:
+    """Return the default of a key, "–" for none."""
+    if field.is_required():
+        return "required"
+    value = field.get_default(call_default_factory=True)
+    if isinstance(value, BaseModel):
+        return "its defaults"
+    return "–" if value is None or value is PydanticUndefined else code(value)
+
+
+def keys(schema: type[BaseModel]) -> str:
+    """Return the table of the keys of one table of a case file."""
+    rows = []
+    for key, field in schema.model_fields.items():
+        checks = field.metadata if schema is not MaterialTable else [RANGES[key]]
+        rows.append((f"`{key}`", field.description or "", default(field), ", ".join(ranges(field.annotation, checks))))
+    return table(("key", "meaning", "default", "range"), rows)
+
+
+def options() -> str:
+    """Return the options of the methods for k_n."""
+    rows = []
+    for method in METHODS.values():
+        for key, given in {**dict.fromkeys(method.required), **(method.optional or {})}.items():
+            allowed = OPTIONS[key]
+            unit = f" [{allowed.unit}]" if isinstance(allowed, Range) and allowed.unit else ""
+            words = bounds(allowed.low, allowed.high) if isinstance(allowed, Range) else ", ".join(map(code, allowed))
+            rows.append((f"`{method.name}`", f"`{key}`{unit}", "required" if given is None else code(given), words))
+    return table(("method", "option", "default", "range"), rows)
+
+
+def metrics(registry: Mapping[str, tuple[str, str]]) -> str:
+    """Return the metrics of a registry."""
+    return table(("metric", "what"), ((f"`{name}`", f"{what} [{unit}]") for name, (unit, what) in registry.items()))
+
+
+def make(page: Path) -> str:
+    """Return the text of a page with its tables made anew."""
+
+    def filled(found: re.Match[str]) -> str:
+        module, _, name = found[2].rpartition(".")
+        made = getattr(importlib.import_module(module), name)
+        text = keys(made) if isinstance(made, type) else options() if made is METHODS else metrics(made)
+        return found[1] + text + found[3]
+
+    return MARKED.sub(filled, page.read_text("utf-8"))
+
+
+def main() -> int:
+    """Write the pages, or check them."""
+    old = [page for page in map(Path(__file__).parents[1].joinpath, PAGES) if make(page) != page.read_text("utf-8")]
+    for page in old:
+        if "--check" in sys.argv[1:]:
+            print(f"{page} is out of date: run python docs/make_reference.py")
+        else:
+            page.write_text(make(page), "utf-8")
+    return int(bool(old) and "--check" in sys.argv[1:])
+
+
+if __name__ == "__main__":
+    sys.exit(main())
