@@ -200,7 +200,7 @@ def _executor(name: str, workers: int | None, scheduler: str | None, options: Sl
         from kncal.study import ThreadExecutor
 
         return ThreadExecutor(workers)
-    from kncal.study.dask_runs import dask_executor
+    from kncal.study.dask_executor import dask_executor
 
     return dask_executor(name, workers, scheduler=scheduler, options=options)
 

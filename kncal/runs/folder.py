@@ -41,7 +41,7 @@ from kncal.scene.model import KINDS, Model, distinct
 from kncal.scene.scene import Scene
 
 CASE, REPORT = "case.toml", "report"
-#: Rows of a run in the table of its sweep (see `kncal.study.rows`).
+#: Rows of a run in the table of its sweep (see `kncal.study.table`).
 ROW = "row.json"
 #: What a bed run leaves for its numbers, as ``particles.dump`` of a single contact.
 SERIES = "series.csv"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from kncal.study.dask_runs import DaskExecutor, dask_executor
+from kncal.study.dask_executor import DaskExecutor, dask_executor
 from kncal.study.design import Settings, Sweep, design, read_design
 from kncal.study.execute import Executor, ThreadExecutor, execute_run
 from kncal.study.points import combine, grid_axis, parse_range, read_points, sample

@@ -28,8 +28,8 @@ from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import CASE, MOST_BYTES
 from kncal.scene.scene import Scene
 from kncal.study.design import Sweep, identity, read_design, run_folder, scene_of
-from kncal.study.rows import Row, ended_rows, failed_rows
 from kncal.study.states import UNREADABLE, read_quickly, read_state, stamps_of
+from kncal.study.table import Row, ended_rows, failed_rows
 
 #: A folder that is still taken when its run starts (by a solver that is just ending) is waited for so long [s].
 PATIENCE = 15.0

@@ -20,7 +20,7 @@ from kncal.runs.records import RESULT
 from kncal.scene.model import KINDS
 from kncal.study.design import Settings, design_points, run_folder
 from kncal.study.execute import ThreadExecutor
-from kncal.study.rows import failure_class
+from kncal.study.states import failure_class
 from kncal.study.sweep import SweepProgress, run_sweep
 from kncal.study.variants import Variant
 

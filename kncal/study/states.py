@@ -26,7 +26,6 @@ from kncal.runs.records import RESULT, STARTED
 from kncal.runs.started import end_without_result
 from kncal.runs.states import holder
 from kncal.study.design import RUNS, Sweep, read_design
-from kncal.study.rows import failure_class
 
 STATES = "states.jsonl"
 #: What a run can be: these, and the statuses of `kncal.record.outcome.STATUSES`. "unfinished": started, without a
@@ -39,10 +38,17 @@ _LARGEST = 16 * 1024**2
 _MOST_NOTES = 512 * 1024**2
 _KNOWN = (WAITING, RUNNING, UNFINISHED, "not_run", *STATUSES)
 
+#: Why a run did not complete, by its status where that says it.
+_CLASSES = {"timed_out": "timed-out", "interrupted": "interrupted", "not_installed": "not-installed"}
 #: What reading a record, and values out of it, raises if it is none.
 UNREADABLE = (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError)
 
 Stamps = dict[str, list[int]]
+
+
+def failure_class(status: str, failure: str) -> str:
+    """Return why a run did not complete, in a word: its failure, or its status; "" if it did."""
+    return "" if status == "completed" else _CLASSES.get(status, failure or "solver-error")
 
 
 @dataclass(frozen=True, kw_only=True)

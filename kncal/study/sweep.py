@@ -21,9 +21,8 @@ from kncal.engines.base import Profile
 from kncal.scene.case_file import CASE
 from kncal.study.design import DESIGN, RUNS, Sweep, is_design, read_design, run_folder, write_design
 from kncal.study.execute import Executor, Record, ThreadExecutor, ended, finished, present
-from kncal.study.rows import Row
 from kncal.study.states import StatesFile
-from kncal.study.table import frame, write_table
+from kncal.study.table import Row, frame, write_table
 
 #: The table is written about so often while the sweep runs [s], and in at most this share of the time.
 TABLE_SECONDS, TABLE_SHARE = 10.0, 0.02

@@ -20,7 +20,7 @@ from kncal.core.errors import InputError, RunError
 from kncal.core.lock import locked
 from kncal.runs.folder import read_result
 from kncal.study import Settings, combine, dask_executor, design, grid_axis, run_sweep, sweep_status
-from kncal.study.dask_runs import perform
+from kncal.study.dask_executor import perform
 
 pytest.importorskip("distributed")
 
@@ -36,7 +36,7 @@ def case(case: Path) -> Path:
 @pytest.mark.solver
 def test_a_killed_worker_costs_only_its_own_run_another_start(case: Path, tmp_path: Path, monkeypatch) -> None:
     """One run loses its worker once, one each time that it is begun, and two others run beside them."""
-    monkeypatch.setattr("kncal.study.dask_clusters.RETRIES", 1)  # of three: each new worker takes seconds
+    monkeypatch.setattr("kncal.study.dask_workers.RETRIES", 1)  # of three: each new worker takes seconds
     out = tmp_path / "sweep"
     made, text = designed(case, ENDLESS, SHORT, 1.0, 2.0)
     poison, once, *_ = made.runs
@@ -136,7 +136,7 @@ def scheduler(tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes], li
     try:
         first = start("scheduler", "--host", "127.0.0.1", "--port", "0")
         wait_until(address.exists)
-        start("worker", "--nthreads", "1", "--no-nanny", "--preload", "kncal.study.dask_runs")
+        start("worker", "--nthreads", "1", "--no-nanny", "--preload", "kncal.study.dask_executor")
         yield json.loads(address.read_text())["address"], first, started
     finally:
         for child in started:
@@ -172,7 +172,7 @@ def test_a_given_scheduler_and_its_loss_in_the_middle(case: Path, tmp_path: Path
 
 
 def test_no_scheduler_there_is_said_before_anything_runs(case: Path, tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr("kncal.study.dask_clusters.CONNECT", 0.5)
+    monkeypatch.setattr("kncal.study.dask_workers.CONNECT", 0.5)
     made, text = designed(case, SHORT)
     with pytest.raises(RunError, match=r"127\.0\.0\.1:9: no Dask scheduler"):
         run_sweep(made, text, tmp_path / "sweep", dask_executor("dask", scheduler="tcp://127.0.0.1:9"))

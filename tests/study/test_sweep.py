@@ -15,7 +15,7 @@ import pandas as pd
 import pytest
 
 import kncal.study.execute
-import kncal.study.rows
+import kncal.study.table
 from kncal.core.errors import InputError, ReadError, RunError
 from kncal.core.lock import locked, sign
 from kncal.runs.workflow import load_run
@@ -376,7 +376,7 @@ def test_numbers_that_could_not_be_had_are_looked_for_again(case: Path, folder: 
         raise ReadError("no memory of it")
 
     with monkeypatch.context() as patch:
-        patch.setattr(kncal.study.rows, "_contact_numbers", fail)
+        patch.setattr(kncal.study.table, "_contact_numbers", fail)
         assert set(read_sweep(folder)["message"]) == {"no numbers: no memory of it"}
     pd.testing.assert_frame_equal(read_sweep(folder), before)
 
@@ -388,7 +388,7 @@ def test_rows_that_another_kncal_kept_are_made_anew(folder: Path, monkeypatch) -
         kept["rows"][0]["e_n"] = 7.0
         path.write_text(json.dumps(kept))
     assert (read_sweep(folder)["e_n"] == 7.0).sum() == 4  # they are what is read, so:
-    monkeypatch.setattr(kncal.study.rows, "__version__", "99.0")
+    monkeypatch.setattr(kncal.study.table, "__version__", "99.0")
     pd.testing.assert_frame_equal(read_sweep(folder), before)
 
 

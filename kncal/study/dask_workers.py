@@ -6,6 +6,7 @@ talks by TLS with a certificate made for this one sweep, has no dashboard, and o
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import logging
 import re
@@ -17,9 +18,8 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from kncal.core.awake import run_within
 from kncal.core.errors import InputError, RunError
@@ -27,7 +27,6 @@ from kncal.study.slurm_script import LOGS, SlurmOptions
 
 if TYPE_CHECKING:
     from distributed import Client
-    from distributed.security import Security
 
 #: A run whose worker died is sent to another one so many times.
 RETRIES = 3
@@ -44,105 +43,86 @@ _CONFIG: dict[str, Any] = {
     "distributed.worker.daemon": False,
 }
 #: Module that workers load at their start, and what tells them that they are children of the sweep's own process.
-_TASKS, DETACHED = "kncal.study.dask_runs", "KNCAL_DETACHED"
+TASKS, DETACHED = "kncal.study.dask_executor", "KNCAL_DETACHED"
 _ADDRESS = re.compile(r"(tcp|tls)://(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9_.-]+):\d{1,5}")
 #: Paths that dask-jobqueue can write into its job scripts, where it quotes nothing.
 _PLAIN = re.compile(r"[A-Za-z0-9_./+=@:,-]+")
 
 
-class Cluster(Protocol):
-    """Where the tasks of a sweep go.
+class Workers:
+    """Workers that runs are sent to: a connection to a scheduler, and what was started for it.
 
     Attributes
     ----------
-    workers : largest number of runs at a time, or None: what the workers take
+    limit : largest number of runs at a time, or None: what the workers take
     retries : times to send a run again whose worker died, beyond what the scheduler does by itself
+    here : whether all are on this machine
     """
 
-    workers: int | None
-    retries: int
+    here = False
+    needs: tuple[str, ...] = ("distributed", "cryptography")
+
+    def __init__(self, limit: int | None) -> None:
+        missing = [name for name in self.needs if importlib.util.find_spec(name) is None]
+        if missing:
+            raise InputError(f"Dask is not installed (no {', '.join(missing)}): pip install 'kncal[dask]'")
+        self.limit, self.retries = limit, RETRIES
+        self._open = contextlib.ExitStack()
 
     def start(self, folder: Path) -> Client:
         """Start what is needed for the sweep in ``folder``; return a client of its scheduler."""
-        ...
+        raise NotImplementedError
 
     def mend(self) -> None:
-        """Replace workers that are lost for good; called about every second."""
-        ...
+        """Replace workers that are lost for good, where nobody else does; called about every second."""
 
     def close(self) -> None:
         """End what `start` started, and nothing else."""
-        ...
-
-
-def check_dask(*modules: str) -> None:
-    """Raise `InputError` if the extra is not installed."""
-    missing = [name for name in ("distributed", *modules) if importlib.util.find_spec(name) is None]
-    if missing:
-        raise InputError(f"Dask is not installed (no {', '.join(missing)}): pip install 'kncal[dask]'")
-
-
-class LocalWorkers:
-    """Workers on this machine, one process each: what happens to one is no other's business."""
-
-    def __init__(self, workers: int) -> None:
-        check_dask("cryptography")
-        self.workers: int | None = workers
-        self.retries = RETRIES
-        self._processes = workers
-        self._open = ExitStack()
-
-    def start(self, folder: Path) -> Client:
-        """See `Cluster.start`."""
-        import dask
-        from distributed import Client, LocalCluster
-
-        self._open.enter_context(dask.config.set(_CONFIG))
-        cluster = self._open.enter_context(
-            LocalCluster(
-                n_workers=self._processes,
-                threads_per_worker=1,
-                host="127.0.0.1",
-                protocol="tls://",
-                security=_security(),
-                dashboard_address="127.0.0.1:0",  # Dask has a web server in any case: loopback, and no pages
-                scheduler_kwargs={"dashboard": False},
-                memory_limit=0,
-                silence_logs=logging.CRITICAL,
-                preload=[_TASKS],
-                env={DETACHED: "1"},
-            )
-        )
-        return self._open.enter_context(Client(cluster, set_as_default=False))
-
-    def mend(self) -> None:
-        """See `Cluster.mend`: Dask's nannies replace lost workers by themselves."""
-
-    def close(self) -> None:
-        """See `Cluster.close`."""
         self._open.close()
 
 
-class GivenScheduler:
-    """The workers of a scheduler that somebody else started."""
+class LocalWorkers(Workers):
+    """Workers on this machine, one process each: what happens to one is no other's business."""
 
-    def __init__(self, address: str, workers: int | None) -> None:
-        check_dask()
-        if not _ADDRESS.fullmatch(address):
-            raise InputError(f"scheduler = {address[:100]!r}: expected tcp://HOST:PORT or tls://HOST:PORT")
-        self.workers = workers
-        self.retries = 0  # as its owner has set it
-        self._address = address
-        self._open = ExitStack()
+    here = True
 
     def start(self, folder: Path) -> Client:
-        """See `Cluster.start`.
+        """See `Workers.start`; Dask's nannies replace lost workers by themselves."""
+        import dask
+        from distributed import Client, LocalCluster
+        from distributed.security import Security
 
-        Raises
-        ------
-        RunError
-            If no scheduler answers there.
-        """
+        self._open.enter_context(dask.config.set(_CONFIG))
+        cluster = LocalCluster(
+            n_workers=self.limit,
+            threads_per_worker=1,
+            host="127.0.0.1",
+            protocol="tls://",
+            security=Security.temporary(),
+            dashboard_address="127.0.0.1:0",  # Dask has a web server in any case: loopback, and no pages
+            scheduler_kwargs={"dashboard": False},
+            memory_limit=0,
+            silence_logs=logging.CRITICAL,
+            preload=[TASKS],
+            env={DETACHED: "1"},
+        )
+        return self._open.enter_context(Client(self._open.enter_context(cluster), set_as_default=False))
+
+
+class GivenScheduler(Workers):
+    """The workers of a scheduler that somebody else started: they are neither replaced nor ended."""
+
+    needs = ("distributed",)
+
+    def __init__(self, address: str, limit: int | None) -> None:
+        super().__init__(limit)
+        if not _ADDRESS.fullmatch(address):
+            raise InputError(f"scheduler = {address[:100]!r}: expected tcp://HOST:PORT or tls://HOST:PORT")
+        self.retries = 0  # as its owner has set it
+        self._address = address
+
+    def start(self, folder: Path) -> Client:
+        """See `Workers.start`; raises `RunError` if no scheduler answers there."""
         from distributed import Client
 
         try:
@@ -154,36 +134,22 @@ class GivenScheduler:
                 "peer-died",
             ) from error
 
-    def mend(self) -> None:
-        """See `Cluster.mend`: not ours."""
 
-    def close(self) -> None:
-        """See `Cluster.close`."""
-        self._open.close()
-
-
-class SlurmWorkers:
+class SlurmWorkers(Workers):
     """Workers in Slurm jobs, one job each, by dask-jobqueue; needs only sbatch and scancel."""
 
-    def __init__(self, workers: int, options: SlurmOptions) -> None:
-        check_dask("dask_jobqueue", "cryptography")
+    needs = ("distributed", "dask_jobqueue", "cryptography")
+
+    def __init__(self, limit: int, options: SlurmOptions) -> None:
+        super().__init__(limit)
         if shutil.which("sbatch") is None:
             raise InputError("--executor slurm: no sbatch on PATH; run the sweep where Slurm jobs can be submitted")
-        self.workers: int | None = workers
-        self.retries = RETRIES
         self._options = options
-        self._open = ExitStack()
         self._cluster: Any = None
         self._looked = 0.0
 
     def start(self, folder: Path) -> Client:
-        """See `Cluster.start`.
-
-        Raises
-        ------
-        InputError
-            If the folder's path cannot stand in a job script, or Slurm would not take such a job.
-        """
+        """See `Workers.start`; raises `InputError` if the folder cannot stand in a job, or Slurm refuses such a job."""
         import dask
         from distributed import Client
 
@@ -216,7 +182,7 @@ class SlurmWorkers:
                 "export DASK_DISTRIBUTED__WORKER__DAEMON=False",
                 "export DASK_DISTRIBUTED__WORKER__HTTP__ROUTES='[]'",
             ],
-            worker_extra_args=["--no-dashboard", "--preload", _TASKS],
+            worker_extra_args=["--no-dashboard", "--preload", TASKS],
             scheduler_options={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
             silence_logs=logging.CRITICAL,
         )
@@ -226,19 +192,19 @@ class SlurmWorkers:
         return self._open.enter_context(Client(cluster, set_as_default=False))
 
     def mend(self) -> None:
-        """See `Cluster.mend`."""
+        """Submit a job for each worker that is missing."""
         now = time.monotonic()
         if self._cluster is not None and now - self._looked > MEND:
             self._looked = now
-            self._cluster.scale(self.workers)  # submits a job for each worker that is missing
+            self._cluster.scale(self.limit)
 
     def close(self) -> None:
-        """See `Cluster.close`."""
+        """See `Workers.close`."""
         self._cluster = None
-        self._open.close()
+        super().close()
 
 
-@contextmanager
+@contextlib.contextmanager
 def _own_signals() -> Iterator[None]:
     """Keep what Ctrl-C does: dask-jobqueue's import makes it end the program at once, with exit code 0."""
     before = signal.getsignal(signal.SIGINT)
@@ -249,18 +215,11 @@ def _own_signals() -> Iterator[None]:
             signal.signal(signal.SIGINT, before)
 
 
-def _security() -> Security:
-    """Return a key and a certificate that only what is started here has."""
+def _security_in(folder: Path) -> Any:
+    """Return a key and a certificate that only what is started here has, in files."""
     from distributed.security import Security
 
-    return Security.temporary()
-
-
-def _security_in(folder: Path) -> Security:
-    """Return the same with key and certificate in files."""
-    from distributed.security import Security
-
-    made = _security()
+    made = Security.temporary()
     certificate, key = folder / "certificate.pem", folder / "key.pem"
     certificate.write_text(made.tls_ca_file, encoding="ascii")
     key.write_text(made.tls_worker_key, encoding="ascii")

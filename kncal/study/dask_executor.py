@@ -22,7 +22,7 @@ from kncal import __version__
 from kncal.core.awake import awake
 from kncal.core.errors import InputError
 from kncal.core.mpi import cores
-from kncal.study.dask_clusters import DETACHED, Cluster, GivenScheduler, LocalWorkers, SlurmWorkers
+from kncal.study.dask_workers import DETACHED, GivenScheduler, LocalWorkers, SlurmWorkers, Workers
 from kncal.study.design import DESIGN, read_design
 from kncal.study.execute import Record, execute_run, failed
 from kncal.study.slurm_script import SlurmOptions
@@ -36,8 +36,9 @@ _LOOK = 0.5
 _STOP = 30.0
 #: A worker that does not answer is waited for so long [s].
 _ANSWER = 5.0
+_LOST = "Dask's scheduler was lost; run the same command again"
 
-#: In a worker: session -> what stops its runs.
+#: Session -> what stops its runs.
 _stops: dict[str, Event] = {}
 
 
@@ -79,18 +80,21 @@ class _Task:
     run: str
     sent: int = 0
 
+    def fail(self, status: str, failure: str, message: str) -> None:
+        self.future.set_result(failed(read_design(self.folder), self.folder, self.run, status, failure, message))
+
 
 class DaskExecutor:
-    """Runs on the workers of a Dask cluster; see `dask_executor` for the usual ones.
+    """Runs on the workers of a Dask scheduler; see `dask_executor`.
 
     Nothing is started before the first run is submitted. With one thread per worker a run's memory and its crashes are
     its own.
     """
 
-    def __init__(self, cluster: Cluster) -> None:
+    def __init__(self, workers: Workers) -> None:
         #: Whether the solver has to be there on other machines than this one.
-        self.elsewhere = not isinstance(cluster, LocalWorkers)
-        self._cluster = cluster
+        self.elsewhere = not workers.here
+        self._workers = workers
         self._client: Any = None  # distributed.Client
         self._session = uuid4().hex
         self._lock = RLock()
@@ -115,7 +119,7 @@ class DaskExecutor:
         """
         folder = folder.absolute()
         if self._client is None:
-            self._client = self._cluster.start(folder)
+            self._client = self._workers.start(folder)
             self._watcher.start()
         task = _Task(Future(), folder, run)
         with self._lock:
@@ -130,26 +134,24 @@ class DaskExecutor:
             while self._waiting:
                 task = self._waiting.popleft()
                 if not task.future.cancel():  # its worker died before
-                    task.future.set_result(_failed(task, "interrupted", "interrupted", "stopped by the user"))
-            live = list(self._live.values())
+                    task.fail("interrupted", "interrupted", "stopped by the user")
+            live = {key: task for key, (_, task) in self._live.items()}
         deadline = awake() + _STOP
-        left = {task.future for _, task in live}
+        left = {task.future for task in live.values()}
         while left and awake() < deadline and self._connected():
             # again and again: a worker may have been replaced
-            _within(_ANSWER, self._halt)
+            _within(_ANSWER, lambda: self._client.run(halt, self._session, on_error="ignore"))
             left = wait(left, timeout=1.0).not_done
-        for key, _ in [(handle.key, task) for handle, task in live if task.future in left]:
-            self._settle(key, "interrupted", "interrupted", "stopped by the user; its worker did not say how it ended")
+        for key, task in live.items():
+            if task.future in left:
+                self._fail(key, "stopped by the user; its worker did not say how it ended", "interrupted")
 
     def close(self) -> None:
         """See `kncal.study.execute.Executor.close`."""
         self._closing.set()
         if self._watcher.is_alive():
             self._watcher.join(2 * _ANSWER)
-        self._cluster.close()
-
-    def _halt(self) -> None:
-        self._client.run(halt, self._session, on_error="ignore")
+        self._workers.close()
 
     def _connected(self) -> bool:
         return self._client is not None and self._client.status == "running"
@@ -161,15 +163,11 @@ class DaskExecutor:
                 self._give_up()
                 return
             with contextlib.suppress(OSError, RuntimeError, TimeoutError):  # the next look finds out
-                self._look()
-
-    def _look(self) -> None:
-        self._cluster.mend()
-        found = sum(self._client.nthreads().values())
-        limit = self._cluster.workers
-        with self._lock:
-            self._slots = found if limit is None else min(found, limit)
-            self._fill()
+                self._workers.mend()
+                found, limit = sum(self._client.nthreads().values()), self._workers.limit
+                with self._lock:
+                    self._slots = found if limit is None else min(found, limit)
+                    self._fill()
 
     def _fill(self) -> None:
         """Send as many runs as the workers can begin now."""
@@ -178,16 +176,9 @@ class DaskExecutor:
             if not task.sent and not task.future.set_running_or_notify_cancel():
                 continue
             task.sent += 1
-            handle = self._client.submit(
-                perform,
-                str(task.folder),
-                task.run,
-                __version__,
-                self._session,
-                pure=False,
-                retries=0,
-                key=f"kncal-{task.run}-{uuid4().hex}",
-            )
+            what = (str(task.folder), task.run, __version__, self._session)
+            key = f"kncal-{task.run}-{uuid4().hex}"
+            handle = self._client.submit(perform, *what, pure=False, retries=0, key=key)
             self._live[handle.key] = (handle, task)
             handle.add_done_callback(self._ended)
 
@@ -199,16 +190,16 @@ class DaskExecutor:
             try:
                 found = handle.result(timeout=_STOP)
             except Exception as error:  # whatever it is, it is this run's failure
-                self._settle(handle.key, "failed", "peer-died", f"its result cannot be had: {_text(error)}")
+                self._fail(handle.key, f"its result cannot be had: {_text(error)}")
             else:
                 if isinstance(found, str):
-                    self._settle(handle.key, "failed", "worker-unfit", found)
-                else:
-                    self._deliver(handle.key, found)
+                    self._fail(handle.key, found, "worker-unfit")
+                elif (task := self._taken(handle.key)) is not None:
+                    task.future.set_result(found)
         elif handle.status == "error":
             self._failed(handle)
         else:  # cancelled or lost
-            self._settle(handle.key, "failed", "peer-died", "Dask's scheduler was lost; run the same command again")
+            self._fail(handle.key, _LOST)
         with self._lock:
             self._fill()
 
@@ -218,40 +209,37 @@ class DaskExecutor:
         error = handle.exception(timeout=_STOP)
         if not isinstance(error, KilledWorker):
             text = f"a worker could not run it ({_text(error)}): is the same kncal installed there?"
-            self._settle(handle.key, "failed", "worker-unfit", text)
+            self._fail(handle.key, text, "worker-unfit")
             return
         with self._lock:
             _, task = self._live[handle.key]
-            again = task.sent <= self._cluster.retries and not self._stopping
-            if again:
+            if task.sent <= self._workers.retries and not self._stopping:
                 del self._live[handle.key]
                 self._waiting.append(task)
                 self._slots = 0  # until the next look: there is a worker less
-        if not again:
-            text = f"the worker that ran it died {task.sent + error.allowed_failures} times (memory? time limit?)"
-            self._settle(handle.key, "failed", "killed", text)
+                return
+        text = f"the worker that ran it died {task.sent + error.allowed_failures} times (memory? time limit?)"
+        self._fail(handle.key, text, "killed")
 
     def _give_up(self) -> None:
         """Let every run that has not ended fail: there is no scheduler any more."""
-        text = "Dask's scheduler was lost; run the same command again"
         with self._lock:
             waiting, self._waiting = list(self._waiting), deque()
         for key in list(self._live):
-            self._settle(key, "failed", "peer-died", text)
+            self._fail(key, _LOST)
         for task in waiting:
             if task.sent or task.future.set_running_or_notify_cancel():
-                task.future.set_result(_failed(task, "failed", "peer-died", text))
+                task.fail("failed", "peer-died", _LOST)
 
-    def _settle(self, key: str, status: str, failure: str, message: str) -> None:
-        found = self._live.get(key)
-        if found is not None:
-            self._deliver(key, _failed(found[1], status, failure, message))
+    def _fail(self, key: str, message: str, failure: str = "peer-died") -> None:
+        if (task := self._taken(key)) is not None:
+            task.fail("interrupted" if failure == "interrupted" else "failed", failure, message)
 
-    def _deliver(self, key: str, record: Record) -> None:
+    def _taken(self, key: str) -> _Task | None:
+        """Return a task that has not ended, once."""
         with self._lock:
             found = self._live.pop(key, None)
-        if found is not None:
-            found[1].future.set_result(record)
+        return None if found is None else found[1]
 
 
 def dask_executor(
@@ -290,10 +278,6 @@ def dask_executor(
     if scheduler is not None:
         return DaskExecutor(GivenScheduler(scheduler, workers))
     return DaskExecutor(LocalWorkers(cores() if workers is None else workers))
-
-
-def _failed(task: _Task, status: str, failure: str, message: str) -> Record:
-    return failed(read_design(task.folder), task.folder, task.run, status, failure, message)
 
 
 def _text(error: Any) -> str:
