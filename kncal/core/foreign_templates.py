@@ -26,9 +26,8 @@ from typing import Any
 
 from kncal.core.awake import run_within
 from kncal.core.errors import InputError, ReadError, RenderError
-from kncal.core.files import read_limited
+from kncal.core.files import decode_line, read_limited
 from kncal.core.shipped import folder as shipped_folder
-from kncal.core.text import decode_line
 
 #: Largest template, most files in the folder, largest text rendered [bytes].
 MOST_BYTES, MOST_FILES, MOST_TEXT = 1024**2, 100, 64 * 1024**2

@@ -18,9 +18,9 @@ from pathlib import Path
 from kncal.core.awake import awake
 from kncal.core.checks import positive
 from kncal.core.errors import InputError, RunError
+from kncal.core.files import MAX_LINE, decode_line
 from kncal.core.scratch import held_scratch
 from kncal.core.stopping import check_stop, shielded_start
-from kncal.core.text import MAX_LINE, decode_line
 
 #: The states a process can end in.
 PROCESS_STATUSES = ("exited", "timed_out", "interrupted", "not_installed")

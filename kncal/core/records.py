@@ -12,7 +12,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from kncal import __version__
 from kncal.core.errors import ReadError
-from kncal.core.tables import read_json
+from kncal.core.files import read_json
 
 
 def _file_name(text: str) -> str:

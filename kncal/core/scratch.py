@@ -1,4 +1,4 @@
-"""Temporary folders and half-written files that no kill leaves for ever.
+"""Temporary folders that no kill leaves for ever (half-written files: see `kncal.core.files.replacing`).
 
 Each is held by a kernel lock, which ends with the processes that have its descriptor; the next start removes those
 that nobody holds. What is no kncal's has another name, and is never touched.
@@ -13,13 +13,12 @@ import re
 import shutil
 import stat
 import tempfile
-from collections.abc import Collection, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
 
-_SUFFIX, _PART = ".scratch", ".part"
-_RANDOM = "[a-z0-9_]{8}"  # by the module tempfile
+_SUFFIX = ".scratch"
+RANDOM = "[a-z0-9_]{8}"  # by the module tempfile
 #: Where no file can be locked: leftovers stay there, nothing else changes.
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL)
 
@@ -35,7 +34,7 @@ def scratch(base: Path | None = None, prefix: str = "kncal-") -> Iterator[Path]:
 def held_scratch(base: Path | None = None, prefix: str = "kncal-") -> Iterator[tuple[Path, tuple[int, ...]]]:
     """As `scratch`; also gives the descriptors that hold the folder, for a child that may outlive this process."""
     base = Path(tempfile.gettempdir()) if base is None else base
-    for old in _named(base, rf"{re.escape(prefix)}{_RANDOM}{re.escape(_SUFFIX)}"):
+    for old in named(base, rf"{re.escape(prefix)}{RANDOM}{re.escape(_SUFFIX)}"):
         if (descriptor := hold(old, stat.S_IFDIR)) is not None:
             shutil.rmtree(old, ignore_errors=True)
             os.close(descriptor)
@@ -62,51 +61,6 @@ def drawn_aside(folder: Path) -> Iterator[Path]:
             picture.replace(folder / picture.name)
 
 
-@contextmanager
-def replacing(path: Path, *, durable: bool = True) -> Iterator[BinaryIO]:
-    """Give a temporary file beside ``path``, put in its place in one move at the end; after an error it is removed.
-
-    With ``durable`` it is on the disk before. A symbolic link at ``path`` is replaced, not followed.
-    """
-    name = path.name[:100]
-    sweep_parts(path.parent, [name])
-    while True:
-        descriptor, made = tempfile.mkstemp(dir=path.parent, prefix=f".{name}.", suffix=_PART)
-        with suppress(OSError):  # where no file can be locked
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
-        if os.fstat(descriptor).st_nlink:
-            break
-        os.close(descriptor)  # another start took it for a leftover before it was held
-    part = Path(made)
-    try:
-        with os.fdopen(descriptor, "wb") as file:
-            yield file
-            file.flush()
-            os.fchmod(file.fileno(), 0o644)  # mkstemp makes it private; results are for everyone to read
-            if durable:
-                os.fsync(file.fileno())
-            part.replace(path)
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
-    if durable:
-        folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(folder)  # without it the move itself may be lost
-        finally:
-            os.close(folder)
-
-
-def sweep_parts(folder: Path, names: Collection[str] | None = None) -> None:
-    """Remove what killed starts left of `replacing` in ``folder``, of files with these names; None: of all."""
-    of = ".+" if names is None else "|".join(map(re.escape, names))
-    for part in _named(folder, rf"\.(?:{of})\.{_RANDOM}{re.escape(_PART)}"):
-        if (descriptor := hold(part, stat.S_IFREG)) is not None:
-            with suppress(OSError):
-                part.unlink()
-            os.close(descriptor)
-
-
 def hold(path: Path, kind: int, *, anyway: bool = False) -> int | None:
     """Lock a file or folder of ours and return its descriptor; None if it is held, another user's, or of another kind.
 
@@ -131,10 +85,11 @@ def hold(path: Path, kind: int, *, anyway: bool = False) -> int | None:
     return None
 
 
-def _named(folder: Path, pattern: str) -> list[Path]:
-    named = re.compile(pattern)
+def named(folder: Path, pattern: str) -> list[Path]:
+    """Return what in a folder has a name of this pattern; nothing if the folder cannot be read."""
+    wanted = re.compile(pattern)
     try:
         with os.scandir(folder) as entries:
-            return [Path(entry.path) for entry in entries if named.fullmatch(entry.name)]
+            return [Path(entry.path) for entry in entries if wanted.fullmatch(entry.name)]
     except OSError:
         return []

@@ -13,9 +13,9 @@ from pathlib import Path
 
 from kncal.core.awake import LOOK, awake
 from kncal.core.errors import RunError, SolverMissingError
+from kncal.core.files import decode_line
 from kncal.core.process import ProcessResult, is_stopped
 from kncal.core.stopping import check_stop, shielded_start
-from kncal.core.text import decode_line
 
 _TOKEN = 4  # bytes of a command and of an answer
 _GRACE = 10.0  # s that a solver may take to end once it was asked, or once its socket has closed

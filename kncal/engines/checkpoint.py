@@ -14,9 +14,8 @@ from pydantic import Field
 
 from kncal.core.disk import is_full
 from kncal.core.errors import ReadError, RunError
-from kncal.core.files import sha256
+from kncal.core.files import sha256, write_json
 from kncal.core.records import Digests, Record, Seconds, read_record
-from kncal.core.tables import write_json
 
 GAS, PARTICLES = "gas", "particles"
 RECORD = "checkpoint.json"

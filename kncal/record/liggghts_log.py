@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, BinaryIO
 import numpy as np
 
 from kncal.core.errors import ReadError
-from kncal.core.files import open_limited
-from kncal.core.text import MAX_LINE, decode_line
+from kncal.core.files import MAX_LINE, decode_line, open_limited
 
 if TYPE_CHECKING:
     import pandas as pd

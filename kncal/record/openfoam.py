@@ -16,8 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from kncal.core.checks import Array
 from kncal.core.errors import InputError, ReadError
-from kncal.core.files import open_limited, read_limited
-from kncal.core.text import decode_line
+from kncal.core.files import decode_line, open_limited, read_limited
 from kncal.record.probe import probe
 
 #: Folder of the parcels inside a time folder.

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from kncal.core.awake import run_within
 from kncal.core.errors import ReadError
-from kncal.core.text import decode_line
+from kncal.core.files import decode_line
 
 #: What a reader may take: address space beyond what Python and VTK have taken already [bytes], time [s].
 MEMORY, SECONDS = 4 * 1024**3, 60

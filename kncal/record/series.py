@@ -7,7 +7,6 @@ folder again; rows that it computes anew replace the old ones when the folder is
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 from kncal.core.arrays import read_npz
 from kncal.core.checks import Array
 from kncal.core.errors import InputError, ReadError
-from kncal.core.tables import read_json, write_csv, write_json
+from kncal.core.files import read_json, replacing, write_csv, write_json
 from kncal.record.facts import BedFacts
 from kncal.record.steps import DemStep, GasFields, GasStep
 
@@ -236,12 +235,8 @@ class SeriesWriter:
                 for name, parts in zip(_FRAMES, zip(*self._frames, strict=True), strict=True)
             }
         path = self.folder / f"piece-{self._number:05d}.npz"
-        part = path.with_suffix(".part")
-        with part.open("wb") as file:
+        with replacing(path) as file:
             np.savez(file, allow_pickle=False, **arrays)
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(path)
         self._number += 1
         self._rows, self._histograms, self._impacts, self._frames, self._bytes = [], [], [], [], 0
 
@@ -291,7 +286,7 @@ def series_reaches(folder: Path, coupling: int) -> bool:
 
 
 def write_series_csv(path: Path, series: BedSeries) -> None:
-    """Write the numbers per coupling as CSV with units in its first line; see `kncal.core.tables.write_csv`."""
+    """Write the numbers per coupling as CSV with units in its first line; see `kncal.core.files.write_csv`."""
     import pandas as pd
 
     write_csv(path, pd.DataFrame({name: getattr(series, name) for name in UNITS}), UNITS)

@@ -10,8 +10,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from kncal.core.errors import InputError, ReadError
-from kncal.core.files import open_limited
-from kncal.core.tables import write_text
+from kncal.core.files import open_limited, write_text
 from kncal.record.probe import probe
 
 if TYPE_CHECKING:

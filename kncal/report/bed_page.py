@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from kncal.core.errors import RenderError
-from kncal.core.tables import write_csv, write_json, write_text
+from kncal.core.files import write_csv, write_json, write_text
 from kncal.core.units import percent, quantity
 from kncal.observe.bed_compare import BedComparison
 from kncal.observe.bed_cost import BedCost

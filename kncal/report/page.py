@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kncal.core.errors import RenderError
+from kncal.core.files import write_csv, write_json, write_text
 from kncal.core.scratch import drawn_aside
-from kncal.core.tables import write_csv, write_json, write_text
 from kncal.core.templating import Page
 from kncal.core.units import percent, quantity
 from kncal.observe.compare import Comparison

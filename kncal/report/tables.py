@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kncal.core.tables import write_csv
+from kncal.core.files import write_csv
 from kncal.observe.compare import RunData
 from kncal.record.vtk import write_particles
 

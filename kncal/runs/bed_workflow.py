@@ -11,9 +11,9 @@ import numpy as np
 
 from kncal.core.checks import Array, one_of, positive
 from kncal.core.errors import CaseFileError, ReadError, RunError, SolverMissingError, failure_of
+from kncal.core.files import write_json
 from kncal.core.scratch import scratch
 from kncal.core.shipped import cache_folder
-from kncal.core.tables import write_json
 from kncal.engines.base import Profile
 from kncal.engines.checkpoint import GAS, PARTICLES, last_checkpoint
 from kncal.engines.coupled import Coupled, check_bed_ranks

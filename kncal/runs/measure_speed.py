@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from kncal.core.errors import CaseFileError, RunError
-from kncal.core.tables import write_json
+from kncal.core.files import write_json
 from kncal.core.units import quantity
 from kncal.observe.impact_speeds import STATISTICS, ImpactSpeeds, StiffnessAt, plot_impact_speeds
 from kncal.runs.folder import MEASURING, refuse_foreign

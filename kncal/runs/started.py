@@ -12,8 +12,8 @@ from pathlib import Path
 
 from kncal.core.disk import blame
 from kncal.core.errors import KncalError, ReadError, failure_of
+from kncal.core.files import write_text
 from kncal.core.records import read_record
-from kncal.core.tables import write_text
 from kncal.record.outcome import FAILURES
 from kncal.runs.records import RESULT, STARTED, Started
 

@@ -21,8 +21,8 @@ from kncal.core.errors import (
     SolverMissingError,
     failure_of,
 )
+from kncal.core.files import write_json
 from kncal.core.scratch import scratch
-from kncal.core.tables import write_json
 from kncal.engines.base import Engine, Progress, run_result
 from kncal.observe.compare import Comparison, RunData
 from kncal.observe.contacts import observe

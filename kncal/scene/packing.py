@@ -23,7 +23,8 @@ from kncal.core.arrays import read_npz
 from kncal.core.awake import awake
 from kncal.core.checks import Array, one_of
 from kncal.core.errors import InputError, ReadError, RunError
-from kncal.core.scratch import replacing, scratch, sweep_parts
+from kncal.core.files import replacing, sweep_parts
+from kncal.core.scratch import scratch
 from kncal.core.stopping import check_stop
 from kncal.engines.base import Progress
 from kncal.runs.resume import Tell

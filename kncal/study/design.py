@@ -24,9 +24,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from kncal import __version__
 from kncal.core.checks import one_of, positive
 from kncal.core.errors import CaseFileError, InputError, KncalError, ReadError
+from kncal.core.files import read_json, write_json, write_text
 from kncal.core.mpi import check_ranks
 from kncal.core.scratch import scratch
-from kncal.core.tables import read_json, write_json, write_text
 from kncal.engines.base import Engine
 from kncal.scene.bed_model import BedModel
 from kncal.scene.bed_scene import BedScene

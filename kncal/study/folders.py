@@ -6,8 +6,8 @@ from collections.abc import Collection
 from pathlib import Path
 
 from kncal.core.errors import InputError, ReadError
+from kncal.core.files import read_json
 from kncal.core.lock import LOCK
-from kncal.core.tables import read_json
 
 
 def refuse_other(out: Path, record: str, started: Collection[str], case: str | Path) -> None:

@@ -15,8 +15,7 @@ from pathlib import Path
 
 from kncal import __version__
 from kncal.core.errors import InputError, ReadError
-from kncal.core.files import open_limited
-from kncal.core.tables import write_text
+from kncal.core.files import open_limited, write_text
 
 #: Folder of a sweep that holds what Slurm's jobs print.
 LOGS = "slurm"

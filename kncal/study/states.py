@@ -19,8 +19,7 @@ from typing import Any
 
 from kncal.core.checks import short
 from kncal.core.errors import ReadError
-from kncal.core.files import read_limited
-from kncal.core.tables import write_text
+from kncal.core.files import read_limited, write_text
 from kncal.record.outcome import STATUSES
 from kncal.runs.records import RESULT, STARTED
 from kncal.runs.started import end_without_result
@@ -195,7 +194,7 @@ def read_state(sweep: Sweep, out: Path | str, stamps: Stamps) -> dict[str, Any]:
 
 
 def read_quickly(path: str) -> Any:
-    """Read a record for a few of its values alone; as `kncal.core.tables.read_json`, in a third of the time.
+    """Read a record for a few of its values alone; as `kncal.core.files.read_json`, in a third of the time.
 
     What it raises is up to the reader: `UNREADABLE`.
     """

@@ -18,10 +18,8 @@ from pydantic import Field
 
 from kncal import __version__
 from kncal.core.errors import InputError, KncalError, ReadError
-from kncal.core.files import sha256
+from kncal.core.files import MAX_JSON_BYTES, csv_text, replacing, sha256, write_text
 from kncal.core.records import Record, Sha256, read_record
-from kncal.core.scratch import replacing
-from kncal.core.tables import MAX_JSON_BYTES, csv_text, write_text
 from kncal.record.outcome import RunResult
 from kncal.runs.folder import ROW, read_result
 from kncal.runs.records import RESULT

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kncal.core.errors import InputError, RunError
-from kncal.core.tables import write_json
+from kncal.core.files import write_json
 from kncal.observe.bed_compare import BedComparison, BedRunData, compare_beds
 from kncal.observe.bed_rows import DOUBT, Side, decide, judge, judge_field
 from kncal.physics.statistics import Average, average

@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kncal.core.errors import InputError
-from kncal.core.tables import write_json
+from kncal.core.files import write_json
 from kncal.observe.averages import observe_bed
 from kncal.observe.bed_compare import BedComparison, compare_beds
 from kncal.observe.fluidization_curve import PACKED, fluidization_curve

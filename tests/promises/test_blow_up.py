@@ -154,7 +154,7 @@ def test_results_of_runs(tmp_path: Path) -> None:
         ".npz": "lambda path: kncal.core.arrays.read_npz(path, 1 << 30)",
         ".dump": "kncal.record.liggghts_dump.read_dump",
         ".log": "kncal.record.liggghts_log.read_log",
-        ".json": "kncal.core.tables.read_json",
+        ".json": "kncal.core.files.read_json",
         ".foam": "lambda path: kncal.record.openfoam.read_cells(path, 10)",
     }
     table = ", ".join(f"{suffix!r}: {code}" for suffix, code in readers.items())
@@ -178,7 +178,7 @@ def test_devices_and_pipes_are_no_files(tmp_path: Path) -> None:
             path = Path({str(tmp_path)!r}, name)
             attempt(lambda: kncal.record.liggghts_dump.read_dump(path))
             attempt(lambda: kncal.record.liggghts_log.read_log(path))
-            attempt(lambda: kncal.core.tables.read_json(path))
+            attempt(lambda: kncal.core.files.read_json(path))
             attempt(lambda: kncal.record.openfoam.read_field(path))
             attempt(lambda: kncal.record.vtk.read_mesh(path))
             attempt(lambda: kncal.core.arrays.read_npz(path, 1 << 30))

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from kncal.core.scratch import drawn_aside, replacing, scratch, sweep_parts
-from kncal.core.tables import write_text
+from kncal.core.files import replacing, sweep_parts, write_text
+from kncal.core.scratch import drawn_aside, scratch
 
 DIE = "import os, signal; os.kill(os.getpid(), signal.SIGKILL)"
 KILLED = {
@@ -26,7 +26,9 @@ KILLED = {
 def killed(here: Path, what: str) -> None:
     """Kill a process of its own in the middle of its work in ``here``."""
     code = "import sys; from pathlib import Path; here = Path(sys.argv[1])\n"
-    code += f"from kncal.core.scratch import drawn_aside, replacing, scratch\n{KILLED[what]}"
+    code += (
+        "from kncal.core.files import replacing\nfrom kncal.core.scratch import drawn_aside, scratch\n" + KILLED[what]
+    )
     done = subprocess.run([sys.executable, "-c", code, str(here)], check=False)
     assert done.returncode == -signal.SIGKILL
 

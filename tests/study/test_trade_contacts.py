@@ -180,7 +180,7 @@ def test_the_chosen_case_runs_and_repeats_the_error(found, tmp_path):
 def test_the_files_of_a_trade(found):
     import pandas as pd
 
-    from kncal.core.tables import read_json
+    from kncal.core.files import read_json
 
     data = read_json(found.folder / "trade.json")
     assert data["chosen"] == found.conclusion.chosen.candidate.name

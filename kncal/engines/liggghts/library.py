@@ -27,11 +27,11 @@ from kncal.core.awake import awake
 from kncal.core.checks import Array
 from kncal.core.disk import blame
 from kncal.core.errors import InputError, RunError, SolverMissingError
+from kncal.core.files import decode_line
 from kncal.core.process import solver_environment
 from kncal.core.scratch import held_scratch
 from kncal.core.solver_process import receive, silent
 from kncal.core.stopping import shielded_start
-from kncal.core.text import decode_line
 from kncal.engines.liggghts.bed_deck import DECK, RESTART, as_rows, middle, sides, write_deck
 from kncal.engines.liggghts.impacts import speed_edges
 from kncal.engines.liggghts.library_child import LIBRARY, MAX_MESSAGE, SAVED_FORCES, Shared, histogram_edges

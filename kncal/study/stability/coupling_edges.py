@@ -18,8 +18,8 @@ import numpy as np
 
 from kncal.core.checks import Array
 from kncal.core.errors import ReadError
+from kncal.core.files import write_json
 from kncal.core.records import Record, is_record, read_record
-from kncal.core.tables import write_json
 from kncal.engines.coupled import Coupled
 from kncal.physics.fluidization import relaxation_time
 from kncal.record.series import BedSeries, read_series

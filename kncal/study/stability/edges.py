@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kncal.core.errors import KncalError, RunError
-from kncal.core.tables import write_text
+from kncal.core.files import write_text
 from kncal.engines.builtin.integrator import integrate
 from kncal.runs.workflow import load_run
 from kncal.scene.case_file import dump_case

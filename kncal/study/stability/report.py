@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from kncal.core.files import write_csv, write_json, write_text
 from kncal.core.scratch import drawn_aside
-from kncal.core.tables import write_csv, write_json, write_text
 from kncal.core.units import percent, quantity
 from kncal.report import plots
 from kncal.report.figures import Figure

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from kncal.core.errors import CaseFileError, InputError
-from kncal.core.tables import write_text
+from kncal.core.files import write_text
 from kncal.physics.fluidization import minimum_fluidization_velocity
 from kncal.physics.laws import LAWS
 from kncal.physics.methods import METHODS

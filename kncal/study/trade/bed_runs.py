@@ -27,8 +27,8 @@ import numpy as np
 from kncal import __version__
 from kncal.core.awake import awake
 from kncal.core.errors import InterruptedRunError, ReadError
+from kncal.core.files import write_json
 from kncal.core.records import Count, Inside, Record, Seconds, read_record
-from kncal.core.tables import write_json
 from kncal.engines.checkpoint import last_checkpoint
 from kncal.observe.bed_compare import BedRunData
 from kncal.record.outcome import RunResult

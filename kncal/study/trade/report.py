@@ -10,8 +10,8 @@ import numpy as np
 
 from kncal import __version__
 from kncal.core.errors import RenderError
+from kncal.core.files import write_text
 from kncal.core.scratch import drawn_aside
-from kncal.core.tables import write_text
 from kncal.core.units import quantity, si_prefix
 from kncal.report.page import Table, page_template
 from kncal.study.trade.answer import describe, sentences, shown_factor

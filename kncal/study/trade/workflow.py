@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from kncal.core.errors import InputError
-from kncal.core.tables import write_csv, write_json, write_text
+from kncal.core.files import write_csv, write_json, write_text
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import CASE, dump_case, load_case
 from kncal.scene.overrides import parse_override

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from kncal.core.errors import RenderError
-from kncal.core.tables import write_csv, write_json, write_text
+from kncal.core.files import write_csv, write_json, write_text
 from kncal.core.units import quantity
 from kncal.report.figures import Figure
 from kncal.report.page import Table, page_template

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from kncal.core.checks import in_range, one_of
 from kncal.core.errors import CaseFileError, InputError, RunError
-from kncal.core.tables import write_text
+from kncal.core.files import write_text
 from kncal.observe.bed_compare import ObservedRun
 from kncal.observe.compare import RunData
 from kncal.runs.measure_speed import resolve_measured

@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 
 from kncal.core.arrays import read_npz
 from kncal.core.errors import KncalError
-from kncal.core.tables import read_json
+from kncal.core.files import read_json
 from kncal.record import liggghts_dump, liggghts_log, openfoam
 from kncal.record.facts import BedFacts
 from kncal.record.series import read_series

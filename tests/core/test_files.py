@@ -17,7 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kncal.core.errors import InputError, ReadError
-from kncal.core.tables import read_json, write_csv, write_json
+from kncal.core.files import read_json, write_csv, write_json
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
@@ -100,7 +100,7 @@ def test_a_kill_leaves_the_old_or_the_new_file(tmp_path: Path) -> None:
     path = tmp_path / "a.json"
     code = (
         "import sys, pathlib\n"
-        "from kncal.core.tables import write_json\n"
+        "from kncal.core.files import write_json\n"
         "k = 0\n"
         "while True:\n"
         "    k += 1\n"
