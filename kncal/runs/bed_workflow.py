@@ -43,7 +43,7 @@ from kncal.scene.bed_model import BedModel
 from kncal.scene.bed_planning import plan_bed
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.model import KINDS
-from kncal.scene.packing import packing
+from kncal.scene.packing import packing, to_settle
 
 POSITIONS = "positions.npy"
 
@@ -199,7 +199,7 @@ def start_positions(scene: BedScene, *, tell: Tell | None = None, progress: Prog
     except OSError as error:
         log.warning("settled packings cannot be kept (%s): each run settles its own", error)
         kept = None
-    return packing(plan_bed(scene, ("linear",))["linear"], kept, tell=tell, progress=progress)
+    return packing(plan_bed(to_settle(scene), ("linear",))["linear"], kept, tell=tell, progress=progress)
 
 
 def load_bed_run(folder: Path) -> BedRunData:

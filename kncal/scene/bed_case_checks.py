@@ -111,6 +111,8 @@ def _column(case: BedTable) -> Iterator[Problem]:
 def _positions(case: BedTable) -> Iterator[Problem]:
     particles, column = case.particles, case.column
     path = ("particles", "positions")
+    if particles.settle_k_n is not None and particles.packing != "settled":
+        yield ("particles", "settle_k_n"), f'given together with packing = "{particles.packing}": expected "settled"'
     given = len(particles.positions)
     if particles.packing != "given":
         if given:

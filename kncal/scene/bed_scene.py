@@ -100,6 +100,8 @@ class BedParticles:
     packing : "settled" (LIGGGHTS settles a loose lattice under gravity), "lattice" (loose lattice, as placed), or
         "given" (``positions``)
     positions : (x, y, z) per particle [m], for packing "given"
+    settle_k_n : of the spring by which "settled" particles settle [N/m], whatever contact they have in the run; None:
+        by that of the linear run
     seed : of the lattice's small random offsets
     frozen : particles do not move (packed bed below fluidisation)
     """
@@ -109,6 +111,7 @@ class BedParticles:
     material: Material
     packing: str = "settled"
     positions: tuple[tuple[float, float, float], ...] = ()
+    settle_k_n: float | None = None
     seed: int = 1
     frozen: bool = False
 

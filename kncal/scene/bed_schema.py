@@ -14,6 +14,7 @@ from kncal.scene.case_schema import (
     PairTable,
     Root,
     Seconds,
+    Stiffness,
     Table,
     above_zero,
     within,
@@ -61,6 +62,9 @@ class BedParticlesTable(Table):
     )
     positions: list[_Row] = Field(
         [], max_length=MOST_PARTICLES, description='[x, y, z] of each particle [m], for packing = "given"'
+    )
+    settle_k_n: Stiffness | None = Field(
+        None, description='stiffness of the spring by which "settled" particles settle [N/m]; none: of the linear run'
     )
     seed: Annotated[int, within(0, 2**31 - 1)] = Field(1, description="seed of the lattice's random offsets")
     frozen: bool = Field(False, description="true: the particles do not move")

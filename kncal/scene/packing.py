@@ -105,6 +105,15 @@ class _Sites(NamedTuple):
         return cls(number, first, spacing)
 
 
+def to_settle(scene: BedScene) -> BedScene:
+    """Return the scene as it settles: with the spring ``particles.settle_k_n``, whatever its own contact and step."""
+    k_n = scene.particles.settle_k_n
+    if k_n is None:
+        return scene
+    contact = replace(scene.contact, k_n=k_n, pairs=tuple(replace(pair, k_n=None) for pair in scene.contact.pairs))
+    return replace(scene, contact=contact, run=replace(scene.run, steps_per_contact=SETTLING_STEPS))
+
+
 def packing(
     model: BedModel, cache_dir: Path | None = None, *, tell: Tell | None = None, progress: Progress | None = None
 ) -> Array:

@@ -17,6 +17,7 @@ from kncal.runs.bed_workflow import load_bed_run
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import dump_case, load_case
 from kncal.scene.load import bottom_overlaps
+from kncal.scene.packing import to_settle
 from kncal.study import Variant
 from kncal.study.trade import bed, bed_runs
 from kncal.study.trade.base import Candidate, TradeOptions
@@ -28,7 +29,7 @@ from kncal.study.trade.bed_points import (
     bed_contacts,
     fluidised,
     reference_steps,
-    settling,
+    settling_spring,
     shared_case,
 )
 from kncal.study.trade.bed_runs import Part, Track, load_part, measured_rates
@@ -194,22 +195,40 @@ def test_a_stiff_bed_at_rest_is_settled_by_a_softer_spring():
     """Hertz's reference may be stiff; what it starts from is a packing in which overlaps are a thousandth of d."""
     from kncal.scene.bed_planning import plan_bed
 
-    def overlap(young: float) -> tuple[float, str]:
+    def overlap(young: float) -> float:
         scene = mini(0.1)
         material = replace(scene.particles.material, young=young)
         column = replace(scene.column, wall_material=material)
         scene = replace(scene, column=column, particles=replace(scene.particles, material=material))
-        settled, told = settling(scene)
-        return bottom_overlaps(plan_bed(settled, ("linear",))["linear"])[
-            "particles", "particles"
-        ] / scene.particles.diameter, told
+        scene = replace(scene, particles=replace(scene.particles, settle_k_n=settling_spring(scene)))
+        model = plan_bed(to_settle(scene), ("linear",))["linear"]
+        return bottom_overlaps(model)["particles", "particles"] / scene.particles.diameter
 
-    stiff, told = overlap(7e10)
-    assert stiff == pytest.approx(START_OVERLAP)
-    assert "k_n" in told
-    soft, told = overlap(5e5)
-    assert soft > START_OVERLAP / STIFF
-    assert told == ""
+    assert overlap(7e10) == pytest.approx(START_OVERLAP)
+    assert overlap(5e5) > START_OVERLAP / STIFF
+
+
+@pytest.mark.parametrize("count", [300, 20_000])
+def test_all_candidates_settle_alike_however_many_particles_there_are(tmp_path, count):
+    """A packing is found by a hash of what it depends on: the contact that is tried is not among that."""
+    from kncal.scene.bed_planning import plan_bed
+    from kncal.scene.packing import _key
+
+    scene = load_case("packed_bed")
+    column = replace(scene.column, height=scene.column.height * max(count / scene.particles.count, 1.0))
+    scene = replace(
+        scene, column=column, particles=replace(scene.particles, count=count, packing="settled", frozen=False)
+    )
+    case = written(replace(scene, gas=None), tmp_path)
+    path, _ = shared_case(case, load_case(case), tmp_path / "trade")
+    top, groups = bed_contacts(case, TradeOptions(reference=(), factors=(1.0, 0.1)))
+    keys = set()
+    for contact in (top, *(c for group in groups.values() for c in group)):
+        for steps in (10.0, 50.0):
+            bed_scene = load_case(path, overrides=contact.at(steps).variant.overrides)
+            assert bed_scene.particles.count == count
+            keys.add(_key(plan_bed(to_settle(bed_scene), ("linear",))["linear"], np.zeros((1, 3))))
+    assert len(keys) == 1
 
 
 # --- parts --------------------------------------------------------------------

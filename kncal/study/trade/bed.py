@@ -112,7 +112,7 @@ class _Session:
     def run(self) -> None:
         """Run what there is time for."""
         self.tell("one start for all runs")
-        self.shared, notes = shared_case(self.case, self.scene, self.folder, self.tell)
+        self.shared, notes = shared_case(self.case, self.scene, self.folder)
         self.notes += notes
         smallest = min(self.options.tolerances.values(), default=0.05)
         self.steps, self.left = reference_steps(self.scene, self.options.steps, smallest)

@@ -6,21 +6,17 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from kncal.core.errors import CaseFileError, InputError
 from kncal.core.files import write_text
 from kncal.physics.fluidization import minimum_fluidization_velocity
 from kncal.physics.laws import LAWS
 from kncal.physics.methods import METHODS
 from kncal.physics.timestep import predict_error
-from kncal.runs.bed_workflow import start_positions
-from kncal.runs.resume import Tell
 from kncal.scene.bed_model import BedModel
 from kncal.scene.bed_planning import PARTICLES, WALLS, plan_bed
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import CASE, dump_case, load_case
-from kncal.scene.case_text import MOST_BYTES, toml_value
+from kncal.scene.case_text import toml_value
 from kncal.scene.load import bottom_overlaps
 from kncal.scene.model import PairContact
 from kncal.scene.pair_contact import numbers_of
@@ -36,42 +32,26 @@ START_OVERLAP, STIFF = 1e-3, 3.0
 #: sub-step phases of first touch, by this share of the smallest tolerance.
 CONVERGED = 0.1
 _EPS_MF = 0.45
-_DIGITS = 8  # of a position; a thousandth of a diameter matters to no start
 
 
-def shared_case(
-    case: str | Path, scene: BedScene, folder: Path, tell: Tell | None = None
-) -> tuple[Path, tuple[str, ...]]:
-    """Write the case that all candidates are variants of, from one start; return it, and what to know about it.
-
-    Raises
-    ------
-    RunError
-        If the packing fails.
-    """
-    particles, notes = scene.particles, []
+def shared_case(case: str | Path, scene: BedScene, folder: Path) -> tuple[Path, tuple[str, ...]]:
+    """Write the case that all candidates are variants of, from one start; return it, and what to know about it."""
+    particles = scene.particles
+    notes: tuple[str, ...] = ()
     if particles.packing == "settled" and particles.count:
         if fluidised(scene):
-            particles = replace(particles, packing="lattice")
-            notes.append(
+            particles = replace(particles, packing="lattice", settle_k_n=None)
+            notes = (
                 "All runs start from the loose lattice, not from a settled bed: averages begin after the start-up,"
-                " which the gas makes in both, and settling a stiff bed takes as long as running it."
+                " which the gas makes in both, and settling a stiff bed takes as long as running it.",
             )
-        else:
-            settled, told = settling(scene)
-            notes += [told] if told else []
-            rows = np.round(start_positions(settled, tell=tell), _DIGITS).tolist()
-            particles = replace(particles, packing="given", positions=tuple((x, y, z) for x, y, z in rows))
-    text = dump_case(replace(scene, particles=particles))
-    if len(text.encode()) > MOST_BYTES:
-        text = dump_case(scene)
-        notes.append(
-            f"{particles.count} settled positions are too many for a case file: each contact settles a bed of its own."
-        )
+        elif particles.settle_k_n is None:
+            particles = replace(particles, settle_k_n=settling_spring(scene))
+            notes = (f"All runs start from one packing, settled with k_n = {particles.settle_k_n:.3g} N/m.",)
     path = folder / "start" / scene.name / CASE
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_text(path, text)
-    return path, tuple(notes)
+    write_text(path, dump_case(replace(scene, particles=particles)))
+    return path, notes
 
 
 def fluidised(scene: BedScene) -> bool:
@@ -84,18 +64,13 @@ def fluidised(scene: BedScene) -> bool:
     return gas.jet is not None or float(U_mf) < gas.U_0
 
 
-def settling(scene: BedScene) -> tuple[BedScene, str]:
-    """Return the scene to settle, softer where the case's own contact is too stiff for that, and a note."""
+def settling_spring(scene: BedScene) -> float:
+    """Return the stiffness that the bed settles with [N/m]: its own, or a softer one if that is too stiff for it."""
     model = plan_bed(scene, ("linear",))["linear"]
+    own = model.contacts[PARTICLES, PARTICLES].k
     overlap = bottom_overlaps(model).get((PARTICLES, PARTICLES), 0.0)
     wanted = START_OVERLAP * scene.particles.diameter
-    if overlap <= 0.0 or wanted < STIFF * overlap:
-        return scene, ""
-    k_n = model.contacts[PARTICLES, PARTICLES].k * overlap / wanted
-    contact = replace(scene.contact, k_n=k_n, pairs=tuple(replace(p, k_n=None) for p in scene.contact.pairs))
-    return replace(
-        scene, contact=contact
-    ), f"The packing that all runs start from was settled with k_n = {k_n:.3g} N/m."
+    return own if overlap <= 0.0 or wanted < STIFF * overlap else own * overlap / wanted
 
 
 def reference_steps(scene: BedScene, steps: tuple[float, ...], tolerance: float) -> tuple[float, float]:
