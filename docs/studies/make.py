@@ -7,6 +7,7 @@ runs), puts tables between the ``<!-- begin NAME -->`` and ``<!-- end NAME -->``
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import math
 import re
@@ -24,15 +25,23 @@ from kncal.core.units import quantity
 HERE = Path(__file__).resolve().parent
 RUNS = Path("runs/studies")
 _SH = re.compile(r"^```sh\n(.*?)^```$", re.S | re.M)
+#: A loop of the shell over words.
+_FOR = re.compile(r"for (\w+) in (.*?); do")
 
 Rows = Sequence[Sequence[str]]
 
 
 def commands(page: Path) -> list[list[str]]:
-    """Return the kncal commands of a page's first ``sh`` block."""
+    """Return the kncal commands of a page's first ``sh`` block, its loops written out."""
     found = _SH.search(page.read_text("utf-8"))
-    lines = "" if found is None else found[1].replace("\\\n", " ")
-    return [shlex.split(line) for line in lines.splitlines() if line.startswith("kncal ")]
+    script = "" if found is None else found[1]
+    loops = [[(name, value) for value in values.split()] for name, values in _FOR.findall(script)]
+    lines = [line.strip() for line in script.splitlines() if line.lstrip().startswith("kncal ")]
+    return [
+        shlex.split(re.sub(r"\$\{?([a-z]+)}?", lambda name, values=values: values[name[1]], line))
+        for values in map(dict, itertools.product(*loops))
+        for line in lines
+    ]
 
 
 def run(words: list[str]) -> None:
@@ -55,7 +64,8 @@ def fill(page: Path, name: str, text: str) -> None:
 
 def table(head: Sequence[str], rows: Rows) -> str:
     """Return a Markdown table."""
-    return "\n".join("| " + " | ".join(row) + " |" for row in [head, ["---"] * len(head), *rows])
+    lines = ["| " + " | ".join(row) + " |" for row in [head, *rows]]
+    return "\n".join([lines[0], "|---" * len(head) + "|", *lines[1:]])
 
 
 def read(folder: str) -> dict[str, Any]:
@@ -65,12 +75,12 @@ def read(folder: str) -> dict[str, Any]:
 
 
 def share(error: dict[str, Any] | None) -> str:
-    """Return an error with its uncertainty in percent, with as many digits as the uncertainty leaves."""
+    """Return an error with its uncertainty [%], with as many digits as the uncertainty leaves."""
     if error is None or error["error"] is None:
         return "–"
     value, width = 100 * error["error"], 100 * (error["uncertainty"] or 0.0)
     digits = 2 if width == 0.0 else min(max(1 - math.floor(math.log10(width)), 0), 3)
-    return f"{value:+.{digits}f} ± {width:.{digits}f} %"
+    return f"{value:+.{digits}f}±{width:.{digits}f}"
 
 
 def contact(candidate: dict[str, Any]) -> str:
@@ -93,13 +103,11 @@ def stiffness(point: dict[str, Any]) -> str:
 
 
 def cost(point: dict[str, Any]) -> str:
-    """Return the CPU time of a point with its range."""
+    """Return the CPU time [s] of a point with its range."""
     seconds = sorted(point["cpu_seconds"])
     if not seconds:
         return "–"
-    return f"{statistics.median(seconds):.3g} s" + (
-        f" ({seconds[0]:.3g}–{seconds[-1]:.3g})" if len(seconds) > 1 else ""
-    )
+    return f"{statistics.median(seconds):.3g}" + (f" ({seconds[0]:.3g}–{seconds[-1]:.3g})" if len(seconds) > 1 else "")
 
 
 def cheapest(trade: dict[str, Any], tolerance: float, metrics: Sequence[str]) -> dict[str, Any] | None:
@@ -164,7 +172,7 @@ def _times(dear: dict[str, Any], cheap: dict[str, Any]) -> str:
         return text
     middle = statistics.median(rounds)
     if min(rounds) <= 1.0 <= max(rounds):
-        return f"{text}, CPU time the same within its spread ({min(rounds):.3g}–{max(rounds):.3g})"
+        return f"{text}, CPU equal ({min(rounds):.3g}–{max(rounds):.3g})"
     if middle < 1.0:
         rounds, middle, what = [1 / x for x in rounds], 1 / middle, "as much CPU"
     else:
@@ -187,12 +195,13 @@ def softened(trade: dict[str, Any], steps: float, metrics: Sequence[str]) -> str
             continue
         numbers = [stiffness(point), f"{point['steps']:,}", cost(point)]
         rows.append([contact(candidate), *numbers, *(share(point["errors"].get(m)) for m in metrics), changed(point)])
-    return table(["contact", "k_n", "steps", "CPU", *metrics, "what softness changed"], rows)
+    heads = [f"{metric} [%]" for metric in metrics]
+    return table(["contact", "k_n", "steps", "CPU [s]", *heads, "what softness changed"], rows)
 
 
 def changed(point: dict[str, Any]) -> str:
-    """Return the signs of softness of a point in a few words."""
-    return ", ".join(sign["name"].replace("_", " ") for sign in point["signs"] if sign["changed"])
+    """Return the names of the signs of softness of a point."""
+    return ", ".join(sign["name"] for sign in point["signs"] if sign["changed"])
 
 
 def _reason(message: str) -> str:
@@ -247,7 +256,7 @@ def wall_impact(page: Path) -> None:
     fill(
         page,
         "softened",
-        table(["e_n", "v_0", "contact", "k_n", "e_n error", "delta_max", "t_c", "what softness changed"], soft),
+        table(["e_n", "v_0", "contact", "k_n", "e_n [%]", "delta_max [%]", "t_c [%]", "what softness changed"], soft),
     )
 
 
