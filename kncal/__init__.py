@@ -21,6 +21,7 @@ if TYPE_CHECKING:
         SolverMissingError,
         ValidityError,
     )
+    from kncal.engines.liggghts.deck_block import matrix_block
     from kncal.physics.calibration import Calibration, calibrate
     from kncal.physics.impact import DimensionlessImpact, dimensionless_impact
     from kncal.physics.material import Material, Pair, pair, wall_pair
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     from kncal.scene.case_file import load_case
 
 _HOME = {
+    "kncal.engines.liggghts.deck_block": ("matrix_block",),
     "kncal.physics.calibration": ("Calibration", "calibrate"),
     "kncal.scene.case_file": ("load_case",),
     "kncal.core.errors": (
@@ -95,6 +97,7 @@ __all__ = [
     "dimensionless_impact",
     "hertz_time",
     "load_case",
+    "matrix_block",
     "pair",
     "predict_error",
     "propagate",

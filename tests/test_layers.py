@@ -17,10 +17,6 @@ TODAY = {
     ("observe.impact_speeds", "report.plots"),
     ("observe.invariants", "engines.loop"),
     ("observe.softness", "study.trade.base"),
-    ("physics.matrix", "engines.liggghts.deck_block"),
-    ("physics.matrix", "scene.pair_contact"),
-    ("physics.matrix", "scene.scene"),
-    ("physics.uncertainty", "observe.impact_speeds"),
     ("scene.packing", "engines.base"),
     ("scene.packing", "engines.liggghts.bed_deck"),
     ("scene.packing", "engines.liggghts.library"),
@@ -29,7 +25,6 @@ TODAY = {
 #: Circles of modules that are still there; likewise.
 CIRCLES = {
     ("core.foreign_templates", "core.templating"),
-    ("physics.calibration", "physics.validity"),
     ("record.openfoam", "record.probe", "record.vtk"),
 }
 

@@ -138,13 +138,14 @@ def _kn_flags(
     json: bool,
 ) -> None:
     """Print what is to be said of the contact that the flags describe."""
+    from kncal.engines.liggghts.deck_block import matrix_block
     from kncal.physics.timestep import usual_steps
 
     pair, v_0, e_n = flags.pair(), flags.speed(), flags.restitution()
     steps = usual_steps(flags.law, e_n, flags.end) if n is None else n
     data = kn_data(pair, v_0, e_n, flags.law, flags.end, options, steps)
     matrix = flags.matrix(method, own_options(method, options))
-    block = matrix.liggghts(style, friction=friction, steps_per_contact=steps)
+    block = matrix_block(matrix, style, friction=friction, steps_per_contact=steps)
     if json:
         show.as_json(data | {"liggghts": block})
         return

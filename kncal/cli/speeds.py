@@ -12,8 +12,9 @@ from kncal.cli import show
 from kncal.core.errors import InputError, ReadError
 
 if TYPE_CHECKING:
-    from kncal.observe.impact_speeds import Estimate, ImpactSpeeds
+    from kncal.observe.impact_speeds import ImpactSpeeds
     from kncal.physics.material import Material, Pair
+    from kncal.physics.statistics import Interval
     from kncal.physics.uncertainty import Distribution, Propagation
     from kncal.runs.impact_speeds import RunSpeeds
 
@@ -106,7 +107,7 @@ def _print_run(run: RunSpeeds) -> None:
         )
 
 
-def _width(estimate: Estimate) -> str:
+def _width(estimate: Interval) -> str:
     return f"{estimate.low:.4g} … {estimate.high:.4g}" if estimate.high > estimate.low else ""
 
 
@@ -130,10 +131,10 @@ def propagate_pair(
     v_0: float | None = None,
 ) -> Propagation:
     """Propagate the uncertainty of the first body of a pair of a case; a second of the same material varies with it."""
-    from kncal.physics.uncertainty import MeasuredSpeeds, propagate
+    from kncal.physics.uncertainty import propagate
 
     material, radius, pair_of = _bodies(scene, names)
-    given: dict[str, str | Distribution] = {} if measured is None else {"v_0": MeasuredSpeeds(measured)}
+    given: dict[str, str | Distribution] = {} if measured is None else {"v_0": measured}
     given |= texts(uncertain)
     contact = scene.contact
     return propagate(
@@ -197,7 +198,7 @@ def print_propagation(title: str, found: Propagation) -> None:
         for share, value in found.quantiles.items()
     ]
     show.table(f"{title}: distribution of k_n ({found.samples} samples)", ["quantile", "k_n", "95 % [N/m]"], rows)
-    shares: Mapping[str, Estimate] = found.total
+    shares: Mapping[str, Interval] = found.total
     rows = [
         [name, f"{100.0 * found.first_order[name].value:.1f} %", f"{100.0 * total.value:.1f} %", total.why]
         for name, total in sorted(shares.items(), key=lambda item: -item[1].value)

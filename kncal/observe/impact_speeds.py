@@ -23,7 +23,7 @@ from kncal.core.errors import InputError, ValidityError
 from kncal.observe.signals import rows_from
 from kncal.physics.calibration import calibrate
 from kncal.physics.material import Pair
-from kncal.physics.statistics import Average, average
+from kncal.physics.statistics import Average, Interval, average
 from kncal.record.series import BedSeries
 from kncal.scene.pair_contact import PairNumbers
 from kncal.scene.scene import ContactChoice
@@ -47,21 +47,6 @@ _COLOURS = ("#0072B2", "#D55E00")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Estimate:
-    """A number with its 95 % confidence interval ``low`` to ``high``; ``why`` it is not to be relied upon, or ""."""
-
-    value: float
-    low: float
-    high: float
-    why: str = ""
-
-    @property
-    def uncertainty(self) -> float:
-        """Half the width of the interval relative to the value; 0 for a value of 0."""
-        return 0.5 * (self.high - self.low) / self.value if self.value else 0.0
-
-
-@dataclass(frozen=True, kw_only=True)
 class ImpactSpeeds:
     """The impact speeds of one kind of contacts.
 
@@ -69,19 +54,19 @@ class ImpactSpeeds:
     ----------
     kind : one of `KINDS_OF_IMPACTS`, or "all"
     count : number of impacts that were seen
-    speeds : name of `STATISTICS` -> Estimate [m/s]; empty without impacts
+    speeds : name of `STATISTICS` -> Interval [m/s]; empty without impacts
     edges : (bins + 1,) [m/s]; counts : (bins,) of the histogram
     """
 
     kind: str
     count: int
-    speeds: Mapping[str, Estimate]
+    speeds: Mapping[str, Interval]
     edges: Array
     counts: Array
 
-    def quantiles(self, shares: Array) -> Array:
-        """Return the speeds [m/s] that these ``shares`` of all impacts do not exceed, of the shape of ``shares``."""
-        return histogram_quantiles(self.edges, self.counts, shares)
+    def ppf(self, q: Array, /) -> Array:
+        """Return the speeds [m/s] that shares ``q`` of all impacts do not exceed, of its shape; 1e-12 in place of 0."""
+        return np.maximum(histogram_quantiles(self.edges, self.counts, np.asarray(q, dtype=np.float64)), 1e-12)
 
     def to_dict(self) -> dict[str, Any]:
         """Everything, ready for JSON."""
@@ -109,8 +94,8 @@ class StiffnessAt:
     """Linear stiffness k_n [N/m] at one of the three speeds of a pair; None with a ``problem``."""
 
     statistic: str
-    v_0: Estimate
-    k_n: Estimate | None
+    v_0: Interval
+    k_n: Interval | None
     problem: str = ""
 
 
@@ -160,7 +145,7 @@ def contact_impact_speeds(contacts: Sequence[ContactEvent]) -> ImpactSpeeds:
         return ImpactSpeeds(kind="all", count=0, speeds={}, edges=np.array([0.0, 1.0]), counts=np.zeros(1))
     edges = np.concatenate(([0.0], np.geomspace(0.5 * v.min(), 2.0 * v.max(), 101)))
     values = {"mean": v.mean(), "energy_weighted": (v**3).sum() / (v**2).sum(), "p99": np.quantile(v, _P99)}
-    speeds = {name: Estimate(value=float(x), low=float(x), high=float(x)) for name, x in values.items()}
+    speeds = {name: Interval(value=float(x), low=float(x), high=float(x)) for name, x in values.items()}
     return ImpactSpeeds(
         kind="all", count=len(v), speeds=speeds, edges=edges, counts=np.histogram(v, edges)[0].astype(np.float64)
     )
@@ -208,7 +193,7 @@ def stiffness_at(
         except (ValidityError, InputError) as error:
             rows.append(StiffnessAt(statistic=name, v_0=speed, k_n=None, problem=str(error)))
             continue
-        k_n = Estimate(value=values[0], low=min(values), high=max(values), why=speed.why)
+        k_n = Interval(value=values[0], low=min(values), high=max(values), why=speed.why)
         rows.append(StiffnessAt(statistic=name, v_0=speed, k_n=k_n))
     return tuple(rows)
 
@@ -273,16 +258,16 @@ def plot_impact_speeds(speeds: Mapping[str, ImpactSpeeds], path: Path, title: st
         figure.savefig(path, dpi=130, metadata={"Software": None} if path.suffix == ".png" else {"Date": None})
 
 
-def _ratio(t: Array, above: Array, below: Array, count: int) -> Estimate:
+def _ratio(t: Array, above: Array, below: Array, count: int) -> Interval:
     """Return sum(above)/sum(below) and its interval, from the linearised ratio in every coupling."""
     value = float(above.sum() / below.sum())
     signal = value + (above - value * below) / below.mean()
     found = average(t, signal, float(t[0]))
     why = _doubts(found, count, LEAST_IMPACTS)
-    return Estimate(value=value, low=max(value - found.uncertainty, 0.0), high=value + found.uncertainty, why=why)
+    return Interval(value=value, low=max(value - found.uncertainty, 0.0), high=value + found.uncertainty, why=why)
 
 
-def _percentile(t: Array, counts: Array, edges: Array) -> Estimate:
+def _percentile(t: Array, counts: Array, edges: Array) -> Interval:
     total = counts.sum(axis=0)
     value = float(histogram_quantiles(edges, total, np.array(_P99)))
     at = int(np.clip(np.searchsorted(edges, value, side="right") - 1, 0, len(total) - 1))
@@ -291,7 +276,7 @@ def _percentile(t: Array, counts: Array, edges: Array) -> Estimate:
     found = average(t, (below - _P99 * number) / number.mean(), float(t[0]))
     ends = np.clip([_P99 - found.uncertainty, _P99 + found.uncertainty], 0.0, 1.0)
     low, high = histogram_quantiles(edges, total, ends)
-    return Estimate(value=value, low=float(low), high=float(high), why=_doubts(found, int(total.sum()), LEAST_FOR_P99))
+    return Interval(value=value, low=float(low), high=float(high), why=_doubts(found, int(total.sum()), LEAST_FOR_P99))
 
 
 def _doubts(found: Average, count: int, least: int) -> str:

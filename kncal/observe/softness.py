@@ -15,9 +15,9 @@ from kncal.core.checks import Array
 from kncal.observe.bed_compare import BedRunData
 from kncal.observe.compare import RunData
 from kncal.observe.quantities import OVERLAP_LIMIT
+from kncal.physics.calibration import OVERLAP_DOUBTFUL
 from kncal.physics.material import sphere_mass
 from kncal.physics.statistics import MIN_SAMPLES, average, difference, start_up
-from kncal.physics.validity import OVERLAP_DOUBTFUL
 from kncal.scene.bed_model import BedModel
 from kncal.scene.load import bottom_overlaps
 from kncal.scene.model import Model, PairContact

@@ -1,20 +1,24 @@
-"""From a pair, a speed and a restitution to the equivalent linear spring and dashpot."""
+"""From a pair, a speed and a restitution to the equivalent linear spring and dashpot, and what limits its validity.
+
+The limits are small named checks that say what they saw; they never change a number.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from kncal.core.checks import Array, common_shape, in_range, instance, one_of, positive_result
+from kncal.core.errors import ValidityError
 from kncal.physics.impact import NO_REBOUND, DimensionlessImpact, dimensionless_impact
 from kncal.physics.laws import LAWS
 from kncal.physics.laws.base import ContactLaw
 from kncal.physics.material import FloatOrArray, Pair, plain
 from kncal.physics.methods import KAPPA_STRAIN_ENERGY, METHODS, MethodInputs
-from kncal.physics.validity import ValidityWarning, check_validity
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -23,7 +27,52 @@ if TYPE_CHECKING:
 ENDS = ("overlap", "force")
 #: Impact speeds served [m/s]: from nearly at rest to far beyond every elastic wave.
 SPEEDS = (1e-12, 1e5)
+#: Overlap over the smaller radius at which Hertz theory is doubtful, and at which it has no meaning.
+OVERLAP_DOUBTFUL, OVERLAP_MEANINGLESS = 0.1, 1.0
+#: Impact speed over elastic wave speed above which a contact is no longer quasi-static.
+SPEED_RATIO_DOUBTFUL = 1e-2
+#: Restitution below which mean overlap and duration are ill-posed at the overlap end (kappa -> inf or 0).
+RESTITUTION_SMALL = 0.1
+#: g/(omega v_0) above which the resting load matters as much as the impact.
+GRAVITY_RATIO_DOUBTFUL = 0.1
+#: Radius [m] above which a sphere is asked about: a bead of 1 mm given as 1 has one of a metre.
+RADIUS_DOUBTFUL = 0.25
+#: Size ratio from which velocity Verlet with half-step velocities shows artefacts in tangential terms
+#: (arXiv 2410.14798).
+SIZE_RATIO_DOUBTFUL = 3.0
+#: Attraction at the end of the contact over the spring's largest force, from which it is worth a word.
+ATTRACTION_NOTABLE = 0.05
+#: Hertz: yield begins below the surface at a maximum pressure of 1.60 yield strengths (von Mises, nu = 0.3;
+#: Johnson, Contact Mechanics (1985), section 6.1).
+YIELD_PRESSURE = 1.60
+STANDARD_GRAVITY = 9.80665
 PAIR_SOURCE = "made by kncal.pair or kncal.wall_pair"
+
+
+@dataclass(frozen=True)
+class ValidityWarning:
+    """One limit of a result.
+
+    Attributes
+    ----------
+    code : short stable name, e.g. "overlap-large"
+    message : one sentence for a person, with the largest value seen
+    count : number of elements concerned (1 for a scalar calibration)
+    where : which elements, broadcasts against the calibration's shape
+    """
+
+    code: str
+    message: str
+    count: int
+    where: NDArray[np.bool_] = field(repr=False, compare=False)
+
+    def __str__(self) -> str:
+        """Return the message."""
+        return self.message
+
+    def to_dict(self) -> dict[str, str | int]:
+        """Return a JSON-ready dict."""
+        return {"code": self.code, "message": self.message, "count": self.count}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -180,29 +229,25 @@ def calibrate(
     contact_law = LAWS.find(law)
     shape = common_shape(pair=pair, v_0=speed, e_n=restitution, **options)
 
-    elastic = contact_law.name == "hertz"
-    reference = dimensionless_impact(contact_law, np.ones_like(restitution) if elastic else restitution, end)
+    reference = dimensionless_impact(
+        contact_law, np.ones_like(restitution) if contact_law.elastic else restitution, end
+    )
     linear = dimensionless_impact("linear", restitution, end)
     base = _base(pair, speed)
     scale = _scale(contact_law)
-
     kappa = chosen.kappa(
         MethodInputs(pair=pair, v_0=speed, base=base, scale=scale, reference=reference, linear=linear, options=options)
     )
     k_n = kappa * base
     positive_result("k_n [N/m]", k_n, " or ".join(("pair", "v_0", "e_n", *options)))
     time = np.sqrt(pair.m_eff / k_n)
-    length = speed * time
-    reference_time = np.sqrt(pair.m_eff / (scale * base))
-    calibration = Calibration(
+    found = Calibration(
         k_n=_full(k_n, shape),
         eta_n=_full(linear.C * (k_n * time), shape),
         kappa=_full(kappa, shape),
-        t_c=_full(linear.tau_c * time, shape),
-        delta_max=_full(linear.x_max * length, shape),
-        delta_mean=_full(linear.x_mean * length, shape),
-        delta_end=_full(linear.x_end * length, shape),
-        reference=_reference(reference, reference_time, speed, shape),
+        reference=ReferenceContact(
+            C=_full(reference.C, shape), **_physical(reference, np.sqrt(pair.m_eff / (scale * base)), speed, shape)
+        ),
         warnings=(),
         pair=pair,
         v_0=_full(speed, shape),
@@ -211,8 +256,9 @@ def calibrate(
         method=chosen.name,
         end=end,
         contact_law=contact_law,
+        **_physical(linear, time, speed, shape),
     )
-    return replace(calibration, warnings=check_validity(calibration, contact_law, linear))
+    return replace(found, warnings=tuple(_limits(found, linear)))
 
 
 def reference_stiffness(pair: Pair, v_0: FloatOrArray, law: ContactLaw) -> FloatOrArray:
@@ -228,17 +274,17 @@ def _scale(law: ContactLaw) -> float:
     return KAPPA_STRAIN_ENERGY if law.stiffness_exponent == 1.0 else 1.0
 
 
-def _reference(
+def _physical(
     impact: DimensionlessImpact, time: FloatOrArray, speed: FloatOrArray, shape: tuple[int, ...]
-) -> ReferenceContact:
+) -> dict[str, FloatOrArray]:
+    """Duration [s] and overlaps [m] of an impact from its unit of time [s] and its speed."""
     length = speed * time
-    return ReferenceContact(
-        C=_full(impact.C, shape),
-        t_c=_full(impact.tau_c * time, shape),
-        delta_max=_full(impact.x_max * length, shape),
-        delta_mean=_full(impact.x_mean * length, shape),
-        delta_end=_full(impact.x_end * length, shape),
-    )
+    return {
+        "t_c": _full(impact.tau_c * time, shape),
+        "delta_max": _full(impact.x_max * length, shape),
+        "delta_mean": _full(impact.x_mean * length, shape),
+        "delta_end": _full(impact.x_end * length, shape),
+    }
 
 
 def _full(value: FloatOrArray, shape: tuple[int, ...]) -> FloatOrArray:
@@ -249,3 +295,100 @@ def _full(value: FloatOrArray, shape: tuple[int, ...]) -> FloatOrArray:
 
 def _listed(value: FloatOrArray) -> Any:
     return value.tolist() if isinstance(value, np.ndarray) else float(value)
+
+
+def _limits(c: Calibration, linear: DimensionlessImpact) -> Iterator[ValidityWarning]:
+    """Say every limit that applies; `ValidityError` if an overlap reaches the smaller radius."""
+    for name, law, delta in (("reference", c.law, c.reference.delta_max), ("linear", "linear", c.delta_max)):
+        ratio = np.asarray(delta / c.pair.R_min)
+        if (meaningless := ratio >= OVERLAP_MEANINGLESS).any():
+            raise ValidityError(
+                f"the overlap of the {name} contact ({law}) reaches the "
+                f"radius of the smaller sphere, {ratio.max():.4g} of it{_where(meaningless)}: expected to stay "
+                "below; lower v_0, or take a stiffer material or method"
+            )
+        text = f"maximum overlap of the {name} contact is {{:.3g}} of the smaller radius (doubtful above 0.1)"
+        yield from _warn("overlap-large", ratio > OVERLAP_DOUBTFUL, ratio, text)
+    for code, where, value, message in (*_of_bodies(c), *_of_impact(c, linear), *_of_law(c)):
+        yield from _warn(code, where, value, message)
+
+
+#: code, where it applies, the value that the message tells the largest of
+_Limit = tuple[str, NDArray[np.bool_], Array, str]
+
+
+def _of_bodies(c: Calibration) -> Iterator[_Limit]:
+    radius = np.asarray(c.pair.R_min)
+    yield "radius-large", radius > RADIUS_DOUBTFUL, radius, "a radius of {:.3g} m: lengths are in m, 1 mm is 1e-3"
+    ratio = np.asarray(c.v_0 / c.pair.wave_speed)
+    message = "impact speed is {:.3g} of the elastic wave speed: not quasi-static, and most materials yield earlier"
+    yield "impact-fast", ratio > SPEED_RATIO_DOUBTFUL, ratio, message
+    if c.pair.yield_strength is not None and c.contact_law.stiffness_exponent > 1.0:
+        pressure = 2.0 / np.pi * c.pair.E_eff * np.sqrt(c.reference.delta_max / c.pair.R_eff)
+        ratio = np.asarray(pressure / (YIELD_PRESSURE * c.pair.yield_strength))
+        message = "peak Hertz pressure is {:.3g} times the onset of yield: the contact is plastic, k_n too stiff"
+        yield "yield", ratio > 1.0, ratio, message
+
+
+def _of_impact(c: Calibration, linear: DimensionlessImpact) -> Iterator[_Limit]:
+    e_n = np.asarray(c.e_n)
+    if c.method in ("mean_overlap", "contact_duration") and c.end == "overlap":
+        message = (
+            f"{c.method} is ill-posed for e_n below {RESTITUTION_SMALL} at the overlap end (1 - e_n up to {{:.3g}}): "
+            "use max_overlap"
+        )
+        yield "restitution-small", e_n < RESTITUTION_SMALL, 1.0 - e_n, message
+    ratio = np.asarray(STANDARD_GRAVITY / (np.sqrt(c.k_n / c.pair.m_eff) * c.v_0))
+    message = (
+        "overlap under the particle's own weight is {:.3g} of the impact's (g/(omega v_0)): use static_load "
+        "or a larger v_0 for resting contacts"
+    )
+    yield "gravity-overlap", ratio > GRAVITY_RATIO_DOUBTFUL, ratio, message
+    ratio = np.asarray(c.pair.size_ratio)
+    message = (
+        "size ratio {:.3g}: one k_n or gamman for all pairs would be wrong (use the matrix form), and velocity "
+        "Verlet with half-step velocities shows artefacts in tangential damping"
+    )
+    yield "size-ratio", ratio >= SIZE_RATIO_DOUBTFUL, ratio, message
+    if c.end == "overlap":
+        ratio = np.asarray(linear.C * e_n / linear.x_max)
+        message = (
+            "the dashpot pulls at the end of the contact with {:.3g} of the spring's largest force (unphysical, "
+            "standard in most codes; end='force' cuts it)"
+        )
+        yield "attraction", ratio > ATTRACTION_NOTABLE, ratio, message
+    zeta = np.asarray(c.zeta)
+    message = (
+        "the linear contact is overdamped (damping ratio up to {:.3g}): the target code must cut attraction off, and "
+        "needs a time step well below 2 m_eff/eta_n"
+    )
+    yield "overdamped", zeta > 1.0, zeta, message
+
+
+def _of_law(c: Calibration) -> Iterator[_Limit]:
+    e_n = np.asarray(c.e_n)
+    if c.contact_law.e_depends_on_speed:
+        message = f"{c.law}: e_n belongs to the speed it is given for (v_0 up to {{:.3g}} m/s), not to the material"
+        yield "restitution-of-one-speed", e_n < 1.0, np.asarray(c.v_0), message
+    if c.contact_law.elastic:
+        message = (
+            "the reference is elastic Hertz, only the linear contact has e_n (1 - e_n up to {:.3g}): "
+            "law 'tsuji' damps both"
+        )
+        yield "elastic-reference", e_n < 1.0, 1.0 - e_n, message
+
+
+def _warn(code: str, where: NDArray[np.bool_], value: Array, message: str) -> Iterator[ValidityWarning]:
+    if not where.any():
+        return
+    where, value = np.broadcast_arrays(where, value)
+    worst = float(np.max(value[where]))
+    text = message.format(worst) + (_where(where) if where.ndim else "")
+    yield ValidityWarning(code, text, int(np.count_nonzero(where)), where)
+
+
+def _where(where: NDArray[np.bool_]) -> str:
+    if where.ndim == 0:
+        return ""
+    first = [int(i) for i in np.argwhere(where)[0]]
+    return f" ({np.count_nonzero(where)} of {where.size} elements, first at {first})"

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kncal.core.checks import Array, in_range, one_of, plain_name, short, single
+from kncal.core.checks import Array, one_of, plain_name, short, single
 from kncal.core.errors import InputError, KncalError
 from kncal.physics.calibration import COLUMNS, Calibration, calibrate
 from kncal.physics.material import Material, pair, wall_pair
@@ -109,59 +109,6 @@ class PairMatrix:
             frame.insert(1, "type_2", b)
             frames.append(frame)
         return pd.concat(frames, ignore_index=True)
-
-    def liggghts(
-        self,
-        style: str = "hooke/stiffness",
-        *,
-        friction: float = 0.0,
-        k_t_ratio: float | None = None,
-        steps_per_contact: float | None = None,
-    ) -> str:
-        """Return the contact lines of a LIGGGHTS deck, to paste into one (see `kncal.engines.liggghts.deck_block`).
-
-        Parameters
-        ----------
-        style : {"hooke/stiffness", "hooke", "hertz"}
-            LIGGGHTS' normal model. "hooke" is for the method strain_energy and one ``v_0``; "hertz" is the reference
-            contact itself, of the law tsuji or hertz.
-        friction : Coulomb coefficient of all pairs [-]
-        k_t_ratio : k_t/k_n of the linear styles [-]. None: Mindlin's ratio of each pair; 1 for "hooke", which has only
-            1 and 2/7
-        steps_per_contact : N of the block's time step; None: `kncal.physics.timestep.usual_steps` of the smallest e_n
-
-        Raises
-        ------
-        InputError
-            For another style, a number out of its range, or a matrix without materials.
-        RenderError
-            If the model of LIGGGHTS has no such contact.
-        """
-        from kncal.engines.liggghts.deck_block import STYLES, BlockType, liggghts_block
-        from kncal.physics.timestep import usual_steps
-        from kncal.scene.pair_contact import PairNumbers, Rest, pair_contact
-        from kncal.scene.scene import ContactChoice
-
-        kind = STYLES[one_of("style", style, STYLES)]
-        if unknown := [name for name in self.names if name not in self.materials]:
-            raise InputError(f"no material of {unknown[0]!r}: expected a matrix made by kncal.calibrate_matrix")
-        mu = float(in_range("friction", single("friction", friction), 0.0, 10.0))
-        ratio = 1.0 if k_t_ratio is None and style == "hooke" else k_t_ratio
-        if ratio is not None:
-            ratio = float(in_range("k_t_ratio", single("k_t_ratio", ratio), 0.0, 10.0))
-        contacts = {}
-        for (a, b), c in self.calibrations.items():
-            # the law itself, which may be one of the user's own
-            choice = ContactChoice(law=cast("str", c.contact_law), end=c.end, k_t_ratio=ratio)
-            numbers = PairNumbers(float(c.e_n), mu, float(c.v_0), float(c.k_n))
-            contacts[a, b] = pair_contact(
-                choice, c.pair, numbers, kind, Rest(0.0, 0.0), scene="matrix", names=f"{a}, {b}"
-            )
-        if steps_per_contact is None:
-            first = min(self.calibrations.values(), key=lambda c: float(c.e_n))
-            steps_per_contact = usual_steps(first.contact_law, float(first.e_n), first.end)
-        types = [BlockType(name=n, material=self.materials[n], is_wall=n in self.walls) for n in self.names]
-        return liggghts_block(types, contacts, style, steps_per_contact)
 
 
 def calibrate_matrix(

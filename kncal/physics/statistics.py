@@ -70,6 +70,21 @@ class Average:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Interval:
+    """A number with its 95 % confidence interval ``low`` to ``high``; ``why`` it is not to be relied upon, or ""."""
+
+    value: float
+    low: float
+    high: float
+    why: str = ""
+
+    @property
+    def uncertainty(self) -> float:
+        """Half the width of the interval relative to the value; 0 for a value of 0."""
+        return 0.5 * (self.high - self.low) / self.value if self.value else 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
 class Difference:
     """The difference of two independent averages, a - b.
 

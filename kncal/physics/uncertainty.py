@@ -18,9 +18,9 @@ import numpy as np
 
 from kncal.core.checks import Array, as_floats, in_range, instance, one_of, short, single, whole
 from kncal.core.errors import InputError, KncalError
-from kncal.observe.impact_speeds import Estimate, ImpactSpeeds
 from kncal.physics.calibration import calibrate
 from kncal.physics.material import Material, Pair, pair
+from kncal.physics.statistics import Interval, average_of_samples
 
 #: What may be uncertain: the particle's material, its radius, and the impact.
 INPUTS = ("young", "poisson", "density", "radius", "e_n", "v_0")
@@ -45,17 +45,6 @@ class Distribution(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class MeasuredSpeeds:
-    """The impact speeds of a run as a distribution."""
-
-    speeds: ImpactSpeeds
-
-    def ppf(self, q: Any, /) -> Array:
-        """Return quantiles of the histogram [m/s], linear within its bins; 1e-12 in place of 0."""
-        return np.maximum(self.speeds.quantiles(np.asarray(q, dtype=np.float64)), 1e-12)
-
-
 @dataclass(frozen=True, kw_only=True)
 class Propagation:
     """The distribution of k_n [N/m].
@@ -68,9 +57,9 @@ class Propagation:
     samples : evaluations for the quantiles
     """
 
-    quantiles: Mapping[float, Estimate]
-    first_order: Mapping[str, Estimate]
-    total: Mapping[str, Estimate]
+    quantiles: Mapping[float, Interval]
+    first_order: Mapping[str, Interval]
+    total: Mapping[str, Interval]
     samples: int
 
     @property
@@ -180,18 +169,8 @@ def propagate(
     ValidityError
         If an overlap of some sample reaches the radius.
     """
-    from scipy.stats import qmc, sobol_indices
-
-    if not isinstance(uncertain, Mapping):
-        raise InputError(f"uncertain = {short(uncertain)}: expected a mapping from names of inputs")
-    if not uncertain:
-        raise InputError(f"nothing is uncertain: expected at least one of {', '.join(INPUTS)}")
     plain = _plain(instance("material", material, Material, "made by kncal.Material"), radius, e_n, v_0)
-    names = tuple(uncertain)
-    laws = {name: _law(name, given, plain) for name, given in uncertain.items()}
-    for name in ("v_0", "e_n"):
-        if plain[name] is None and name not in laws:
-            raise InputError(f"{name}: missing: expected a value or a distribution")
+    laws = _laws(uncertain, plain)
     for name, value in method_options.items():
         if not isinstance(value, str):
             single(name, value)
@@ -199,43 +178,71 @@ def propagate(
     whole("seed", seed, 0, 2**63 - 1)
 
     def k_n(values: Array) -> Array:
-        now = plain | dict(zip(names, values, strict=True))
+        now = plain | dict(zip(laws, values, strict=True))
         sampled = replace(material, **{key: now[key] for key in ("young", "poisson", "density")})
-        found = calibrate(
-            _own("pair_of", pair_of, sampled, now["radius"]),
-            v_0=now["v_0"],
-            e_n=now["e_n"],
-            law=law,
-            method=method,
-            end=end,
-            **method_options,
-        ).k_n
+        both = _own("pair_of", pair_of, sampled, now["radius"])
+        given: dict[str, Any] = {"v_0": now["v_0"], "e_n": now["e_n"], "law": law, "method": method, "end": end}
+        found = calibrate(both, **given, **method_options).k_n
         if np.size(found) not in (1, values[0].size):
             raise InputError(f"pair_of gives a pair of shape {np.shape(found)}: expected {values.shape[1:]}, or ()")
         return np.broadcast_to(np.asarray(found, dtype=np.float64), values.shape[1:])
 
     each = 1 << max(round(math.log2(samples / _SCRAMBLES)), 4)
     rng = np.random.default_rng(seed)
-    parts = []
-    for _ in range(_SCRAMBLES):
-        points = qmc.Sobol(len(names), rng=rng).random(each)
-        parts.append(k_n(np.stack([law_.ppf(points[:, i]) for i, law_ in enumerate(laws.values())])))
+    parts = _sampled(k_n, laws, each, rng)
     quantiles = {share: _spread([float(np.quantile(part, share)) for part in parts]) for share in QUANTILES}
     if np.ptp(np.concatenate(parts)) <= 1e-12 * quantiles[0.5].value:
-        zero = dict.fromkeys(names, Estimate(value=0.0, low=0.0, high=0.0, why=f"{method} does not depend on it"))
-        return Propagation(quantiles=quantiles, first_order=zero, total=zero, samples=each * _SCRAMBLES)
-    if len(names) == 1:
-        all_of_it = {names[0]: Estimate(value=1.0, low=1.0, high=1.0)}
-        return Propagation(quantiles=quantiles, first_order=all_of_it, total=all_of_it, samples=each * _SCRAMBLES)
+        first = total = dict.fromkeys(
+            laws, Interval(value=0.0, low=0.0, high=0.0, why=f"{method} does not depend on it")
+        )
+    elif len(laws) == 1:
+        first = total = dict.fromkeys(laws, Interval(value=1.0, low=1.0, high=1.0))
+    else:
+        first, total = _shares(k_n, laws, each, rng)
+    return Propagation(quantiles=quantiles, first_order=first, total=total, samples=each * _SCRAMBLES)
+
+
+def _sampled(
+    k_n: Callable[[Array], Array], laws: Mapping[str, Distribution], each: int, rng: np.random.Generator
+) -> list[Array]:
+    """Return k_n at ``each`` points of every scramble."""
+    from scipy.stats import qmc
+
+    parts = []
+    for _ in range(_SCRAMBLES):
+        points = qmc.Sobol(len(laws), rng=rng).random(each)
+        parts.append(k_n(np.stack([law.ppf(points[:, i]) for i, law in enumerate(laws.values())])))
+    return parts
+
+
+def _shares(
+    k_n: Callable[[Array], Array], laws: Mapping[str, Distribution], each: int, rng: np.random.Generator
+) -> tuple[dict[str, Interval], dict[str, Interval]]:
+    """Return Sobol's indices of ln k_n by input: of the first order, and total."""
+    from scipy.stats import sobol_indices
+
     found = [
         sobol_indices(func=lambda values: np.log(k_n(values)), n=each, dists=list(laws.values()), rng=rng)
         for _ in range(_SCRAMBLES)
     ]
     first, total = (
-        {name: _spread([float(getattr(one, key)[i]) for one in found]) for i, name in enumerate(names)}
+        {name: _spread([float(getattr(one, key)[i]) for one in found]) for i, name in enumerate(laws)}
         for key in ("first_order", "total_order")
     )
-    return Propagation(quantiles=quantiles, first_order=first, total=total, samples=each * _SCRAMBLES)
+    return first, total
+
+
+def _laws(uncertain: object, plain: Mapping[str, float | None]) -> dict[str, Distribution]:
+    """Return the distribution of every uncertain input, checked."""
+    if not isinstance(uncertain, Mapping):
+        raise InputError(f"uncertain = {short(uncertain)}: expected a mapping from names of inputs")
+    if not uncertain:
+        raise InputError(f"nothing is uncertain: expected at least one of {', '.join(INPUTS)}")
+    laws = {name: _law(name, given, plain) for name, given in uncertain.items()}
+    for name in ("v_0", "e_n"):
+        if plain[name] is None and name not in laws:
+            raise InputError(f"{name}: missing: expected a value or a distribution")
+    return laws
 
 
 def _plain(material: Material, radius: float, e_n: float | None, v_0: float | None) -> dict[str, float | None]:
@@ -279,9 +286,7 @@ def _own(what: str, function: Callable[..., Any], *arguments: Any) -> Any:
         raise InputError(f"{what}: {type(error).__name__}: {error}: expected a function that works") from error
 
 
-def _spread(values: list[float]) -> Estimate:
+def _spread(values: list[float]) -> Interval:
     """Return the mean of independent estimates with its 95 % interval (Student's t)."""
-    from kncal.physics.statistics import average_of_samples
-
     found = average_of_samples(values)
-    return Estimate(value=found.mean, low=found.mean - found.uncertainty, high=found.mean + found.uncertainty)
+    return Interval(value=found.mean, low=found.mean - found.uncertainty, high=found.mean + found.uncertainty)

@@ -12,11 +12,11 @@ from kncal.observe.bed_compare import BedComparison
 from kncal.observe.impact_speeds import (
     KINDS_OF_IMPACTS,
     STATISTICS,
-    Estimate,
     ImpactSpeeds,
     bed_impact_speeds,
     plot_impact_speeds,
 )
+from kncal.physics.statistics import Interval
 from kncal.report.figures import Figure
 from kncal.report.page import Table
 from kncal.scene.bed_model import BedModel
@@ -111,7 +111,7 @@ def _doubts(kind: str, speeds: ImpactSpeeds) -> Iterator[str]:
             yield f"{_RUNS[kind]}, {_PAIRS[speeds.kind]}, {STATISTICS[name]}: {found.why}"
 
 
-def _shown(found: Estimate | None) -> str:
+def _shown(found: Interval | None) -> str:
     if found is None:
         return "–"
     return f"{found.value:.3g} ({found.low:.3g} to {found.high:.3g}) m/s"

@@ -12,9 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from kncal.physics.calibration import OVERLAP_DOUBTFUL, OVERLAP_MEANINGLESS
 from kncal.physics.material import sphere_mass
 from kncal.physics.timestep import verlet_limit
-from kncal.physics.validity import OVERLAP_DOUBTFUL, OVERLAP_MEANINGLESS
 from kncal.scene.ballistics import first_touch, initial_overlap
 from kncal.scene.finding import Finding, require_possible
 from kncal.scene.model import Model, PairContact

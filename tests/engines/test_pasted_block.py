@@ -9,7 +9,7 @@ from itertools import combinations_with_replacement
 import numpy as np
 import pytest
 
-from kncal import Material, RenderError, calibrate, calibrate_matrix, predict_error, wall_pair
+from kncal import Material, RenderError, calibrate, calibrate_matrix, matrix_block, predict_error, wall_pair
 
 GLASS = Material(young=7e9, poisson=0.22, density=2500.0)
 STEEL = Material(young=2.1e11, poisson=0.3, density=7800.0)
@@ -93,7 +93,7 @@ def test_every_pair_and_wall_rebounds_as_asked(tmp_path, style, ratio, end):
         method=method,
         end=end,
     )
-    block = matrix.liggghts(style, friction=MU, steps_per_contact=N)
+    block = matrix_block(matrix, style, friction=MU, steps_per_contact=N)
     dt = float(re.search(r"^timestep (\S+)$", block, re.MULTILINE)[1])
     law = "tsuji" if style == "hertz" else "linear"
     duration = {pair: float(c.reference.t_c if style == "hertz" else c.t_c) for pair, c in matrix.calibrations.items()}
@@ -145,12 +145,12 @@ def test_hooke_has_the_tangential_stiffness_asked_for(tmp_path):
     matrix = calibrate_matrix({"small": (GLASS, 1e-3)}, {"floor": None}, v_0=V, e_n=1.0, method="strain_energy")
     dt = matrix.t_c / 50.0
     for k_t_ratio in (1.0, 2.0 / 7.0):
-        force = one_step_on_the_floor(tmp_path, matrix.liggghts("hooke", friction=10.0, k_t_ratio=k_t_ratio))
+        force = one_step_on_the_floor(tmp_path, matrix_block(matrix, "hooke", friction=10.0, k_t_ratio=k_t_ratio))
         spring = -k_t_ratio * float(matrix["small", "floor"].k_n) * 1e-3 * dt
         assert force == pytest.approx(spring, rel=1e-3)  # it also bends by the turning of the sphere
     for k_t_ratio in (0.5, 0.0):
         with pytest.raises(RenderError, match="k_t_ratio"):
-            matrix.liggghts("hooke", friction=0.1, k_t_ratio=k_t_ratio)
+            matrix_block(matrix, "hooke", friction=0.1, k_t_ratio=k_t_ratio)
 
 
 def test_liggghts_has_the_kuwabara_kono_contact(tmp_path):

@@ -3,7 +3,17 @@ import math
 import numpy as np
 import pytest
 
-from kncal import InputError, Material, PairMatrix, ValidityError, calibrate, calibrate_matrix, pair, wall_pair
+from kncal import (
+    InputError,
+    Material,
+    PairMatrix,
+    ValidityError,
+    calibrate,
+    calibrate_matrix,
+    matrix_block,
+    pair,
+    wall_pair,
+)
 
 GLASS = Material(young=70e9, poisson=0.22, density=2500.0)
 STEEL = Material(young=210e9, poisson=0.3, density=7800.0)
@@ -53,7 +63,7 @@ def test_shortest_contact_time_and_values_per_pair():
 
 
 def test_liggghts_block_holds_the_matrix_with_all_digits():
-    block = MATRIX.liggghts()
+    block = matrix_block(MATRIX)
     line = next(x for x in block.splitlines() if " kn " in x and "property/global" in x)
     numbers = np.array([float(x) for x in line.split()[7:]]).reshape(4, 4)
     assert np.array_equal(numbers, MATRIX.matrix("k_n"))
@@ -97,7 +107,7 @@ COMMANDS = ("# ", "fix ", "pair_style gran model ", "pair_coeff * *", "timestep 
 def test_liggghts_block_has_no_lines_but_those_of_contacts(style):
     names = ["a.b-c_D", "9", "x" * 64]
     matrix = calibrate_matrix({n: (GLASS, 1e-3) for n in names}, {"w": None}, v_0=0.5, e_n=0.9, method="strain_energy")
-    for line in matrix.liggghts(style).splitlines():
+    for line in matrix_block(matrix, style).splitlines():
         assert line.startswith(COMMANDS)
         if line.startswith("fix "):
             _, name, _, where, same, *_ = line.split()
@@ -106,7 +116,7 @@ def test_liggghts_block_has_no_lines_but_those_of_contacts(style):
 
 def test_the_block_has_the_tangential_stiffness_asked_for():
     def kt_over_kn(**options):
-        lines = {words[1]: words[7:] for words in map(str.split, MATRIX.liggghts(**options).splitlines())}
+        lines = {words[1]: words[7:] for words in map(str.split, matrix_block(MATRIX, **options).splitlines())}
         return float(lines["kt"][0]) / float(lines["kn"][0])
 
     assert kt_over_kn() == pytest.approx(2.0 * (1.0 - 0.22) / (2.0 - 0.22), rel=1e-12)  # Mindlin, like materials
@@ -115,15 +125,15 @@ def test_the_block_has_the_tangential_stiffness_asked_for():
 
 def test_a_matrix_made_by_hand_says_what_it_lacks_for_a_block():
     with pytest.raises(InputError, match="calibrate_matrix"):
-        PairMatrix(("a",), (), {("a", "a"): MATRIX["small", "small"]}).liggghts()
+        matrix_block(PairMatrix(("a",), (), {("a", "a"): MATRIX["small", "small"]}))
     with pytest.raises(InputError, match="style"):
-        MATRIX.liggghts("hertz/stiffness")
+        matrix_block(MATRIX, "hertz/stiffness")
 
 
 def test_liggghts_block_states_the_contact_end_it_needs():
     for end, word in (("overlap", "limitForce off"), ("force", "limitForce on")):
         matrix = calibrate_matrix({"a": (GLASS, 1e-3)}, {"w": None}, v_0=0.5, e_n=0.9, end=end)
-        comments = [line for line in matrix.liggghts().splitlines() if line.startswith("#")]
+        comments = [line for line in matrix_block(matrix).splitlines() if line.startswith("#")]
         assert any(word in line for line in comments)
 
 

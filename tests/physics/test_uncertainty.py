@@ -11,7 +11,7 @@ from scipy import stats
 import kncal
 from kncal.core.errors import InputError
 from kncal.observe.impact_speeds import ImpactSpeeds
-from kncal.physics.uncertainty import QUANTILES, MeasuredSpeeds, distribution, propagate
+from kncal.physics.uncertainty import QUANTILES, distribution, propagate
 
 GLASS = kncal.Material(young=70e9, poisson=0.22, density=2500.0)
 #: k_n ~ k_h^(4/5) m_eff^(1/5) v_0^(2/5), with k_h ~ E sqrt(R) and m_eff ~ rho R³.
@@ -59,7 +59,7 @@ def test_measured_speeds_are_a_distribution() -> None:
     uniform = ImpactSpeeds(
         kind="particles", count=5000, speeds={}, edges=edges, counts=np.where(edges[1:] > 0.5, 100, 0)
     )
-    found = propagate({"v_0": MeasuredSpeeds(uniform)}, material=GLASS, radius=1e-3, e_n=0.9)
+    found = propagate({"v_0": uniform}, material=GLASS, radius=1e-3, e_n=0.9)
     assert found.quantiles[0.25].value == pytest.approx(nominal(v_0=0.625), rel=2e-3)
 
 

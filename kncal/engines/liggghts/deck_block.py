@@ -6,9 +6,10 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import cast
 
-from kncal.core.checks import in_range, one_of, plain_name, single
-from kncal.core.errors import CaseFileError, RenderError, ValidityError
+from kncal.core.checks import in_range, instance, one_of, plain_name, single
+from kncal.core.errors import CaseFileError, InputError, RenderError, ValidityError
 from kncal.core.templating import number
 from kncal.engines.liggghts.deck import (
     HARD_LIMIT,
@@ -21,13 +22,15 @@ from kncal.engines.liggghts.deck import (
 )
 from kncal.engines.liggghts.deck_checks import ROUNDING, expect, require_tsuji
 from kncal.physics.material import Material
+from kncal.physics.matrix import PairMatrix
+from kncal.physics.timestep import usual_steps
 from kncal.scene.bed_planning import PARTICLES, WALLS, bed_pairs
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.load import bottom_load
 from kncal.scene.model import PairContact
-from kncal.scene.pair_contact import Rest, numbers_of, pair_contact
+from kncal.scene.pair_contact import PairNumbers, Rest, numbers_of, pair_contact
 from kncal.scene.plan import contact_of, first_impact_speed
-from kncal.scene.scene import Scene, Wall
+from kncal.scene.scene import ContactChoice, Scene, Wall
 from kncal.scene.species import species_of
 
 #: Normal models of LIGGGHTS, and the kind of `PairContact` that each is made from.
@@ -244,6 +247,54 @@ _COMMENTS = {
 
 def _property(name: str, per: str, values: Sequence[float]) -> list[str]:
     return [f"# {_COMMENTS[name]}", f"fix {name} all property/global {name} {per} {' '.join(map(number, values))}"]
+
+
+def matrix_block(
+    matrix: PairMatrix,
+    style: str = "hooke/stiffness",
+    *,
+    friction: float = 0.0,
+    k_t_ratio: float | None = None,
+    steps_per_contact: float | None = None,
+) -> str:
+    """Return the block of the pairs of `kncal.calibrate_matrix`.
+
+    Parameters
+    ----------
+    style : {"hooke/stiffness", "hooke", "hertz"}
+        LIGGGHTS' normal model. "hooke" is for the method strain_energy and one ``v_0``; "hertz" is the reference
+        contact itself, of the law tsuji or hertz.
+    friction : Coulomb coefficient of all pairs [-]
+    k_t_ratio : k_t/k_n of the linear styles [-]. None: Mindlin's ratio of each pair; 1 for "hooke", which has only
+        1 and 2/7
+    steps_per_contact : N of the block's time step; None: `kncal.physics.timestep.usual_steps` of the smallest e_n
+
+    Raises
+    ------
+    InputError
+        For another style, a number out of its range, or a matrix without materials.
+    RenderError
+        If the model of LIGGGHTS has no such contact.
+    """
+    instance("matrix", matrix, PairMatrix, "made by kncal.calibrate_matrix")
+    kind = STYLES[one_of("style", style, STYLES)]
+    if unknown := [name for name in matrix.names if name not in matrix.materials]:
+        raise InputError(f"no material of {unknown[0]!r}: expected a matrix made by kncal.calibrate_matrix")
+    mu = float(in_range("friction", single("friction", friction), 0.0, 10.0))
+    ratio = 1.0 if k_t_ratio is None and style == "hooke" else k_t_ratio
+    if ratio is not None:
+        ratio = float(in_range("k_t_ratio", single("k_t_ratio", ratio), 0.0, 10.0))
+    contacts = {}
+    for (a, b), c in matrix.calibrations.items():
+        # the law itself, which may be one of the user's own
+        choice = ContactChoice(law=cast("str", c.contact_law), end=c.end, k_t_ratio=ratio)
+        numbers = PairNumbers(float(c.e_n), mu, float(c.v_0), float(c.k_n))
+        contacts[a, b] = pair_contact(choice, c.pair, numbers, kind, Rest(0.0, 0.0), scene="matrix", names=f"{a}, {b}")
+    if steps_per_contact is None:
+        first = min(matrix.calibrations.values(), key=lambda c: float(c.e_n))
+        steps_per_contact = usual_steps(first.contact_law, float(first.e_n), first.end)
+    types = [BlockType(name=n, material=matrix.materials[n], is_wall=n in matrix.walls) for n in matrix.names]
+    return liggghts_block(types, contacts, style, steps_per_contact)
 
 
 def case_block(scene: Scene | BedScene, style: str = "hooke/stiffness", steps_per_contact: float = 50.0) -> str:

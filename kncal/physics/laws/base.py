@@ -60,6 +60,8 @@ class ContactLaw(ABC):
     stiffness_exponent : n of the elastic force x^n, 1 or 1.5
     damping_exponent : p of the dashpot force C x^p x_dot; None without a dashpot
     e_depends_on_speed : whether one damping coefficient gives another e_n at another impact speed
+    elastic : whether it has no damping at all: e_n = 1 only
+    liggghts : what LIGGGHTS 3.8 calls its normal model of this force; "" if it has none
     """
 
     name: str
@@ -69,6 +71,8 @@ class ContactLaw(ABC):
     stiffness_exponent: float = 1.5
     damping_exponent: float | None = None
     e_depends_on_speed: bool = False
+    elastic: bool = False
+    liggghts: str = ""
 
     @abstractmethod
     def impact(self, e_n: Array, end: str) -> Impact:

@@ -47,4 +47,6 @@ HERTZ = Hertz(
     title="Hertz, elastic",
     source="Hertz, J. reine angew. Math. 92 (1882) 156; Johnson, Contact Mechanics (1985), sections 4.2 and 11.4",
     note="Elastic smooth spheres, small overlap, impact far below the wave speed. e_n = 1 only.",
+    elastic=True,
+    liggghts="hertz",
 )

@@ -12,4 +12,5 @@ KUWABARA_KONO = HertzDashpot(
     ),
     damping_exponent=0.5,
     e_depends_on_speed=True,
+    liggghts="hertz/stiffness",
 )

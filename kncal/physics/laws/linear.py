@@ -97,4 +97,5 @@ LINEAR = LinearDashpot(
     ),
     stiffness_exponent=1.0,
     damping_exponent=0.0,
+    liggghts="hooke/stiffness",
 )

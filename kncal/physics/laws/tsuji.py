@@ -67,4 +67,5 @@ TSUJI = Tsuji(
         "The damping is fitted to e_n, not derived from a mechanism."
     ),
     damping_exponent=0.25,
+    liggghts="hertz",
 )
