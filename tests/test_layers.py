@@ -24,7 +24,6 @@ TODAY = {
 }
 #: Circles of modules that are still there; likewise.
 CIRCLES = {
-    ("core.foreign_templates", "core.templating"),
     ("record.openfoam", "record.probe", "record.vtk"),
 }
 

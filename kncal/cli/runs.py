@@ -281,7 +281,7 @@ def _load(
     case: str, out: Path | None, overrides: list[str] | None, templates: Path | None
 ) -> tuple[Scene | BedScene, Path]:
     """Return what ``case`` describes, with the values of --set, and its run folder; trust ``templates`` from now on."""
-    from kncal.core.foreign_templates import trust_from_now
+    from kncal.core.templating import trust_from_now
     from kncal.scene.case_file import load_case
 
     for name, digest in trust_from_now(templates).items():

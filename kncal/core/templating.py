@@ -1,21 +1,43 @@
-"""How text gets into a solver's input: templates of the package, filled with checked numbers and names.
+"""How text gets into a solver's input and onto a page: templates, filled with checked numbers and names.
 
 A solver executes what its input tells it, so only numbers, and names that can be nothing else, are rendered.
+
+Templates that are not kncal's stand before its own of the same name, where the user says that they are to be trusted.
+They see plain values only, and are rendered in a child process (``python -m kncal.core.templating``): nothing else in
+Python stops an endless loop, or one expression that takes all memory. What the solvers then do is not bounded.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import hashlib
+import json
+import os
+import resource
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, fields, is_dataclass
 from functools import lru_cache
+from itertools import islice
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
-from kncal.core.checks import NAME_PATTERN, as_floats
-from kncal.core.errors import InputError, RenderError
-from kncal.core.foreign_templates import foreign_hashes, in_force, render_apart
+from kncal.core.awake import run_within
+from kncal.core.checks import NAME_PATTERN, as_floats, one_of
+from kncal.core.errors import InputError, ReadError, RenderError
+from kncal.core.files import decode_line, read_limited
 from kncal.core.shipped import folder as shipped_folder
+
+#: Of templates from elsewhere: largest one, most in a folder, largest text rendered [bytes].
+MOST_BYTES, MOST_FILES, MOST_TEXT = 1024**2, 100, 64 * 1024**2
+#: What rendering one of them may take: time [s], memory beyond what Python has taken already [bytes].
+SECONDS, MEMORY = 10, 1024**3
+_DONE, _REFUSED = 0, 9
+
+#: Relative name -> text of the templates from elsewhere in force: read once, so what is named is what is rendered.
+_FOREIGN: ContextVar[Mapping[str, str]] = ContextVar("kncal_foreign_templates", default={})  # noqa: B039 - never changed
 
 
 def checked_name(value: object) -> str:
@@ -64,8 +86,8 @@ def integer(value: object) -> str:
     return str(value)
 
 
-def environment(folder: Path, *, foreign: Mapping[str, str] = MappingProxyType({}), html: bool = False) -> Any:
-    """Make the Jinja2 environment of every template in ``folder``; ``foreign`` texts stand in for those of their name.
+def _environment(folder: Path, foreign: Mapping[str, str], *, html: bool) -> Any:
+    """Make the Jinja2 environment of every template in ``folder``, before which those of ``foreign`` stand.
 
     Sandboxed, undefined names are errors. Solver input: comments are ``<# ... #>`` (a ``{#`` may occur in it), and the
     filters ``num``, ``whole``, ``name`` refuse what they cannot write safely. ``html``: every text is escaped.
@@ -75,7 +97,7 @@ def environment(folder: Path, *, foreign: Mapping[str, str] = MappingProxyType({
 
     comments = {} if html else {"comment_start_string": "<#", "comment_end_string": "#>"}
     env = ImmutableSandboxedEnvironment(
-        loader=jinja2.ChoiceLoader([jinja2.DictLoader(dict(foreign)), jinja2.FileSystemLoader(folder)]),
+        loader=jinja2.ChoiceLoader([jinja2.DictLoader(foreign), jinja2.FileSystemLoader(folder)]),
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -88,29 +110,29 @@ def environment(folder: Path, *, foreign: Mapping[str, str] = MappingProxyType({
 
 
 @lru_cache(maxsize=16)
-def _kept(folder: Path) -> Any:
+def _kept(folder: Path, *, html: bool) -> Any:
     """Return the environment of shipped templates, kept: it holds them compiled, which takes longer than filling."""
-    return environment(folder)
+    return _environment(folder, {}, html=html)
 
 
-def render(folder: Path, template: str, context: Mapping[str, object]) -> str:
+def render(folder: Path, template: str, context: Mapping[str, object], *, html: bool = False) -> str:
     """Fill ``template`` of ``folder`` with ``context`` (plain str, int, float, bool, lists and dicts only).
 
     Raises
     ------
     RenderError
         If the template is missing or broken, needs what ``context`` lacks, or breaks a filter's rule; a template from
-        elsewhere (see `kncal.core.foreign_templates`) also if it takes too long, or its text is not ASCII.
+        elsewhere also if it takes more than `SECONDS` or `MEMORY`, gives more than `MOST_TEXT`, or solver input that
+        is not ASCII.
     """
     import jinja2
 
-    if foreign := in_force(folder):
-        text = render_apart(folder, foreign, template, context, html=False)
-        if not text.isascii():
-            raise RenderError(f"template {template} of --trust-templates: its text is not ASCII, as solvers need it")
-        return text
+    start = f"{folder.name}/" if folder.parent == shipped_folder("templates") else "/"
+    foreign = {name.removeprefix(start): text for name, text in _FOREIGN.get().items() if name.startswith(start)}
+    if foreign:
+        return _render_apart(folder, foreign, template, context, html=html)
     try:
-        return str(_kept(folder).get_template(template).render(context))
+        return str(_kept(folder, html=html).get_template(template).render(context))
     except jinja2.TemplateError as error:
         raise RenderError(f"template {template} in {folder}: {type(error).__name__}: {error}") from error
 
@@ -129,15 +151,142 @@ class Page:
         RenderError
             As `kncal.core.templating.render`.
         """
-        import jinja2
-
-        folder = shipped_folder("templates") / "report"
         if names := foreign_hashes():
             section = {"templates that are not kncal's (--trust-templates), sha256": names}
             context["provenance"] = {**context.get("provenance", {}), **section}
-        if foreign := in_force(folder):
-            return render_apart(folder, foreign, self.name, context, html=True)
+        return render(shipped_folder("templates") / "report", self.name, context, html=True)
+
+
+@contextmanager
+def trust_templates(folder: Path | None) -> Iterator[Mapping[str, str]]:
+    """Put the templates in ``folder`` in the place of kncal's of the same relative name, inside a ``with`` block.
+
+    E.g. ``folder/liggghts/in.liggghts.j2``. Holds for what this thread renders. None: nothing changes.
+
+    Yields
+    ------
+    Mapping
+        Relative name -> SHA-256 of each template in force.
+
+    Raises
+    ------
+    InputError
+        If ``folder`` is not a folder, is empty, or holds anything but templates of kncal's names: no links, at most
+        `MOST_FILES` files of `MOST_BYTES`, UTF-8.
+    """
+    before = _FOREIGN.get()
+    try:
+        yield trust_from_now(folder)
+    finally:
+        _FOREIGN.set(before)
+
+
+def trust_from_now(folder: Path | None) -> Mapping[str, str]:
+    """As `trust_templates`, to the end of the present context (`contextvars`): for the command line."""
+    if folder is not None:
+        _FOREIGN.set(_read(folder))
+    return foreign_hashes()
+
+
+def foreign_hashes() -> dict[str, str]:
+    """Return relative name -> SHA-256 of the templates from elsewhere in force; empty if there are none."""
+    return {name: hashlib.sha256(text.encode()).hexdigest() for name, text in _FOREIGN.get().items()}
+
+
+def _read(folder: Path) -> dict[str, str]:
+    if not folder.is_dir():
+        raise InputError(f"--trust-templates {folder}: not a folder; expected one with templates, e.g. liggghts/...")
+    shipped = shipped_folder("templates")
+    known = sorted(str(path.relative_to(shipped)) for path in shipped.rglob("*") if path.is_file())
+    texts: dict[str, str] = {}
+    for count, path in enumerate(islice(folder.rglob("*"), MOST_FILES + 1), 1):
+        if path.is_symlink() or count > MOST_FILES:
+            raise InputError(f"{path}: a link, or one of more than {MOST_FILES} files: expected plain files")
+        if path.is_dir():
+            continue
+        name = one_of(f"--trust-templates {folder}: template", str(path.relative_to(folder)), known)
         try:
-            return str(environment(folder, html=True).get_template(self.name).render(**context))
-        except jinja2.TemplateError as error:
-            raise RenderError(f"template {self.name} in {folder}: {type(error).__name__}: {error}") from error
+            texts[name] = read_limited(path, MOST_BYTES, "a template").decode("utf-8")
+        except (ReadError, UnicodeDecodeError) as error:
+            raise InputError(f"{path}: no template ({error}); expected UTF-8 text") from error
+    if not texts:
+        raise InputError(f"--trust-templates {folder}: no template in it; expected some of {', '.join(known)}")
+    return dict(sorted(texts.items()))
+
+
+def _render_apart(
+    folder: Path, foreign: Mapping[str, str], template: str, context: Mapping[str, object], *, html: bool
+) -> str:
+    """Fill ``template`` in a child process with limits."""
+    where = f"template {template} of --trust-templates"
+    asked = [str(folder), foreign, template, plain(context, template), html, SECONDS]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(entry for entry in sys.path if entry)}
+    try:
+        command = (sys.executable, "-P", "-m", "kncal.core.templating")
+        done = run_within(6 * SECONDS, command, input=json.dumps(asked).encode(), env=environment)
+    except subprocess.TimeoutExpired as error:
+        raise RenderError(f"{where}: not rendered within {6 * SECONDS} s") from error
+    if done.returncode == _DONE:
+        return str(done.stdout, "utf-8")
+    lines = [text for line in done.stderr[-8192:].splitlines() if (text := decode_line(line).strip())]
+    if done.returncode == _REFUSED and lines:
+        raise RenderError(f"{where}: {lines[-1]}")
+    raise RenderError(
+        f"{where}: rendering was stopped (exit code {done.returncode}): expected it to take at most {SECONDS} s of "
+        f"processor time and {MEMORY // 1024**2} MiB"
+    )
+
+
+def plain(value: object, where: str) -> Any:
+    """Return a value as text, numbers, lists and dicts: objects have methods that a template could call.
+
+    Raises
+    ------
+    RenderError
+        For anything else.
+    """
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    if is_dataclass(value) and not isinstance(value, type):
+        return {field.name: plain(getattr(value, field.name), where) for field in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): plain(item, where) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item, where) for item in value]
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if hasattr(value, "tolist"):  # numpy
+        return plain(value.tolist(), where)
+    raise RenderError(f"template {where}: a {type(value).__name__} cannot be given to a template from elsewhere")
+
+
+def main() -> int:
+    """Render what standard input asks for to standard output; exit code 9 and a line of text if it cannot be."""
+    folder, foreign, template, context, html, seconds = json.load(sys.stdin)
+    used = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
+    for what, most in (
+        (resource.RLIMIT_AS, used + MEMORY),
+        (resource.RLIMIT_CPU, seconds + int(sum(os.times()[:2]))),
+        (resource.RLIMIT_CORE, 0),
+    ):
+        _, hard = resource.getrlimit(what)
+        resource.setrlimit(what, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
+    try:
+        text = str(_environment(Path(folder), foreign, html=html).get_template(template).render(context))
+        data = text.encode("utf-8" if html else "ascii")
+        if len(data) > MOST_TEXT:
+            raise RenderError(f"{len(data)} bytes of text, expected at most {MOST_TEXT}")
+    except UnicodeEncodeError:
+        print("its text is not ASCII, as solvers need it", file=sys.stderr)
+        return _REFUSED
+    # a template may raise anything; whatever it is, it is the template's fault and said so
+    except Exception as error:
+        line = f" (line {error.lineno})" if hasattr(error, "lineno") else ""
+        print(f"\n{type(error).__name__}: {' '.join(str(error).split())[:500]}{line}", file=sys.stderr)
+        return _REFUSED
+    sys.stdout.buffer.write(data)
+    return _DONE
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -26,9 +26,9 @@ from typing import Any
 from kncal import __version__
 from kncal.core.errors import ReadError, RenderError, RunError, failure_of
 from kncal.core.files import MOST_HASHED, read_limited, sha256, sweep_parts, write_json
-from kncal.core.foreign_templates import foreign_hashes
 from kncal.core.lock import LOCK, locked, sign
 from kncal.core.records import is_record, read_record
+from kncal.core.templating import foreign_hashes
 from kncal.engines.base import FRAMES, Profile
 from kncal.record.outcome import RunResult
 from kncal.runs.records import ATTEMPT, MANIFEST, RESULT, STARTED, CaseManifest, ModelManifest, Result, Started

@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 
 from kncal.cli import main
-from kncal.core import foreign_templates
+from kncal.core import templating
 from kncal.core.errors import InputError, RenderError
-from kncal.core.foreign_templates import foreign_hashes, plain, trust_templates
 from kncal.core.shipped import folder as shipped_folder
+from kncal.core.templating import foreign_hashes, plain, trust_templates
 from kncal.observe.compare import compare
 from kncal.report.page import page_template
 from kncal.runs.folder import read_manifest
@@ -85,7 +85,7 @@ def test_what_the_sandbox_refuses(templates: Path, tmp_path: Path, text: str, wo
 
 
 def test_endless_rendering_is_stopped(templates: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(foreign_templates, "SECONDS", 1)
+    monkeypatch.setattr(templating, "SECONDS", 1)
     loops = "{% for i in range(99999) %}{% for j in range(99999) %}{% endfor %}{% endfor %}"
     script(templates, loops)
     with trust_templates(templates), pytest.raises(RenderError, match=r"stopped|not rendered within"):
@@ -104,7 +104,7 @@ def test_only_templates_of_kncals_names_and_no_links(templates: Path, tmp_path: 
     (templates / "liggghts" / "Allrun.j2").symlink_to("/etc/hostname")
     refused("a link")
     (templates / "liggghts" / "Allrun.j2").unlink()
-    script(templates, "x" * (foreign_templates.MOST_BYTES + 1))
+    script(templates, "x" * (templating.MOST_BYTES + 1))
     refused("expected at most")
     (templates / "liggghts" / "Allrun.j2").write_bytes(b"\xff")
     refused("UTF-8")
