@@ -14,7 +14,7 @@ import sys
 from cyclopts import App
 
 from kncal import __version__
-from kncal.cli import beds, calibrate, cases, failures, runs, show, stability, sweeps, trade, trim, upkeep
+from kncal.cli import adapter, calibrate, cases, failures, runs, show, stability, sweeps, trade, trim, upkeep
 from kncal.core.errors import InputError
 
 app = App(
@@ -38,7 +38,7 @@ app.command(runs.report)
 app.command(upkeep.status)
 app.command(upkeep.clean)
 app.command(cases.doctor)
-app.command(beds.adapter)
+app.command(adapter.adapter)
 app.command(sweeps.sweep)
 app.command(sweeps.sweep_run)
 app.command(sweeps.sweep_table)

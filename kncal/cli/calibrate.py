@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 from cyclopts import Parameter
 
 from kncal.cli import show
-from kncal.cli.flags import ContactFlags
+from kncal.cli.flags import CaseFlags, ContactFlags, EngineFlags, Json, refuse_ignored
 from kncal.cli.kn_tables import MOST_TABLES, kn_data, kn_print, own_options, print_many, row_of
-from kncal.cli.runs import EngineName, Json, Out, Set, measured
 from kncal.cli.speeds import (
     FromRun,
     Picture,
@@ -51,12 +50,11 @@ def kn(
     friction: Annotated[
         float | None, Parameter(help="Coulomb friction in that block; default 0; a case holds its own")
     ] = None,
-    overrides: Set = None,
     from_run: FromRun = None,
     uncertain: Uncertain = None,
     picture: Picture = None,
-    engine: EngineName = "liggghts",
-    out: Out = None,
+    at: CaseFlags | None = None,
+    by: EngineFlags | None = None,
     json: Json = False,
 ) -> None:
     """Linear stiffness and damping by every method, for a material given by flags or for the pairs of a CASE.
@@ -71,60 +69,55 @@ def kn(
     case
         A shipped case's name, a case folder or a case.toml; without it the flags describe the contact.
     """
-    of_options = {
-        "--method": method != "mean_overlap",
-        "--fraction": fraction != 0.01,
-        "--t-c": t_c is not None,
-        "--force": force is not None,
-        "--factor": factor != 1.0,
-    }
-    of_block = {"--style": style != "hooke/stiffness", "--friction": friction is not None}
-    of_steps = {"--steps-per-contact": steps_per_contact is not None}
+    flags, at, by = contact or ContactFlags(), at or CaseFlags(), by or EngineFlags()
+    of_options = _changed(method=method != "mean_overlap", fraction=fraction != 0.01, t_c=t_c, force=force)
+    of_options += _changed(factor=factor != 1.0)
+    of_block = _changed(style=style != "hooke/stiffness", friction=friction)
+    of_steps = _changed(steps_per_contact=steps_per_contact)
     options = {"fraction": fraction, "factor": factor}
     options |= {name: value for name, value in (("t_c", t_c), ("force", force)) if value is not None}
-    flags = contact or ContactFlags()
+    own = [*flags.given(), *(["--set"] if at.overrides else []), *([case] if case else [])]
     if from_run is not None:
-        if given := [*flags.given(), *(["--set"] if overrides else []), *([case] if case else [])]:
-            raise InputError(
-                f"{given[0]} and --from-run: the run's case holds these numbers: expected one or the other"
-            )
-        of_run = {"--engine": engine != "liggghts", "--out": out is not None}
-        _refuse_ignored("--from-run (the method is that of the run's case)", of_options | of_steps | of_block | of_run)
+        if own:
+            raise InputError(f"{own[0]} and --from-run: the run's case holds these numbers: expected one or the other")
+        ignored = [*of_options, *of_steps, *of_block, *by.given(), *at.given()]
+        refuse_ignored("--from-run (the method is that of the run's case)", ignored)
         kn_from_run(from_run, uncertain or (), picture, json=json)
         return
     if picture is not None:
         raise InputError("--picture shows the impact speeds of a run: expected --from-run too, or leave it out")
-    if overrides and case is None:
-        raise InputError("--set needs a case whose values it replaces: name a case, or leave it out")
     if case is not None:
         if given := flags.given():
             raise InputError(
                 f"{given[0]} and the case {case!r}: the case holds these numbers; expected one or the other"
             )
-        from kncal.scene.case_file import load_case
-
-        of_case = {"--method": of_options["--method"], "--friction": of_block["--friction"]}
-        _refuse_ignored(f"the case {case!r}, whose own is used", of_case)
-        scene = load_case(case, overrides=overrides or ())
-        if scene.contact.measured is None and (out is not None or engine != "liggghts"):
-            raise InputError('--engine and --out are for a case with contact.v_0 = "measured": leave them out')
-        scene = measured(scene, out or Path("runs") / scene.name, engine=engine)
-        _kn_case(scene, uncertain or (), options, steps_per_contact, style, json=json)
+        ignored = [flag for flag in (*of_options, *of_block) if flag in ("--method", "--friction")]
+        refuse_ignored(f"the case {case!r}, which holds its own", ignored)
+        scene, folder = at.load(case)
+        if scene.contact.measured is None:
+            _refuse_measuring(at, by)
+        by.check(scene)
+        _kn_case(by.measured(scene, folder), uncertain or (), options, steps_per_contact, style, json=json)
         return
-    if out is not None or engine != "liggghts":
-        raise InputError('--engine and --out are for a case with contact.v_0 = "measured": leave them out')
+    if at.overrides:
+        raise InputError("--set needs a case whose values it replaces: name a case, or leave it out")
+    _refuse_measuring(at, by)
     if uncertain:
-        _refuse_ignored("--uncertain, which gives the distribution of k_n alone", of_steps | of_block)
+        refuse_ignored("--uncertain, which gives the distribution of k_n alone", [*of_steps, *of_block])
         _kn_flags_uncertain(flags, uncertain, method, options, json=json)
         return
     _kn_flags(flags, method, options, steps_per_contact, style, friction or 0.0, json=json)
 
 
-def _refuse_ignored(beside: str, given: Mapping[str, bool]) -> None:
-    """Refuse a flag that would be passed over in silence."""
-    for name, is_given in given.items():
-        if is_given:
-            raise InputError(f"{name} has no meaning with {beside}: leave it out")
+def _changed(**given: object) -> list[str]:
+    """Return the flags that are given: neither None nor False."""
+    return [f"--{name.replace('_', '-')}" for name, value in given.items() if value is not None and value is not False]
+
+
+def _refuse_measuring(at: CaseFlags, by: EngineFlags) -> None:
+    """Refuse what is for a case whose impact speed is measured, by runs."""
+    for name in (*by.given(), *(["--out"] if at.out else [])):
+        raise InputError(f'{name} is for a case with contact.v_0 = "measured": leave it out')
 
 
 def _kn_flags(

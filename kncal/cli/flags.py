@@ -1,25 +1,140 @@
-"""The flags that describe one contact on the command line: two bodies, a speed, a restitution, a law."""
+"""Flags that several commands share, as dataclasses that cyclopts flattens: of the case, the engine, one contact."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 from cyclopts import Parameter
 
+from kncal.cli import show
 from kncal.core.errors import InputError
 
 if TYPE_CHECKING:
+    from kncal.engines.base import Engine
+    from kncal.engines.coupled import Coupled
     from kncal.physics.material import Material, Pair
     from kncal.physics.matrix import PairMatrix
+    from kncal.scene.bed_scene import BedScene
+    from kncal.scene.scene import Scene
+
+_S = TypeVar("_S", bound="Scene | BedScene")
+
+Json = Annotated[bool, Parameter(name="--json", negative="", help="print data for programs")]
+ModelChoice = Annotated[
+    Literal["both", "linear", "hertz"], Parameter(name="--model", help="which contact model to use")
+]
+Transport = Annotated[
+    Literal["auto", "live", "restart"],
+    Parameter(help="with gas: how gas and particles exchange data; auto: live where its adapter is built"),
+]
+Timeout = Annotated[float | None, Parameter(name="--timeout", help="wall-clock limit of each run [s]")]
+Workers = Annotated[int | None, Parameter(help="runs at the same time; default: one per core (and rank)")]
+
+
+def several(name: str, text: str) -> Parameter:
+    """Return the parameter of a flag that may be repeated."""
+    return Parameter(name=name, negative="", help=f"{text} (may be repeated)")
+
+
+def refuse_ignored(beside: str, given: Iterable[str]) -> None:
+    """Refuse the first of the flags ``given``, which would be ignored ``beside`` something else."""
+    for name in given:
+        raise InputError(f"{name} has no meaning with {beside}: leave it out")
+
+
+def kinds(model: str) -> tuple[str, ...]:
+    """Return the models that --model asks for."""
+    return ("linear", "hertz") if model == "both" else (model,)
+
+
+class Flags:
+    """What all of these dataclasses can do."""
+
+    def given(self) -> list[str]:
+        """Return the flags that differ from their defaults."""
+        changed = [f.name for f in fields(self) if getattr(self, f.name) != f.default]  # type: ignore[arg-type]
+        return ["--set" if name == "overrides" else f"--{name.replace('_', '-')}" for name in changed]
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class CaseFlags(Flags):
+    """Which values of a case are replaced, and where the results go."""
+
+    overrides: Annotated[
+        list[str] | None, several("--set", "KEY=VALUE replaces a value of the case file, e.g. run.end_time=0.2")
+    ] = None
+    out: Annotated[
+        Path | None,
+        Parameter(help="folder of the results; default: runs/<case> here, and of a study runs/<case>_<study>"),
+    ] = None
+
+    def load(self, case: str, study: str = "") -> tuple[Scene | BedScene, Path]:
+        """Return what ``case`` describes, with the values of --set, and the folder of the results."""
+        from kncal.scene.case_file import load_case
+
+        scene = load_case(case, overrides=self.overrides or ())
+        return scene, self.out or Path("runs") / (f"{scene.name}_{study}" if study else scene.name)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class EngineFlags(Flags):
+    """What simulates a case."""
+
+    engine: Annotated[
+        Literal["liggghts", "builtin", "liggghts-hooke"],
+        Parameter(
+            help="liggghts; builtin: only Python, few bodies; liggghts-hooke: LIGGGHTS' own strain-energy spring"
+        ),
+    ] = "liggghts"
+    transport: Transport = "auto"
+
+    def check(self, scene: Scene | BedScene) -> None:
+        """Refuse a flag that this scene would ignore."""
+        from kncal.runs.solving import check_options
+
+        check_options(scene, engine=self.engine, transport=self.transport)
+
+    def measured(self, scene: _S, folder: Path, timeout: float | None = None) -> _S:
+        """Return the scene with the impact speed that it asks to be measured, which may take runs in ``folder``."""
+        if scene.contact.measured is None:
+            return scene
+        from kncal.runs.measure_speed import resolve_measured
+
+        with show.working("measuring"):
+            return resolve_measured(
+                scene, folder, engine=self.engine, transport=self.transport, timeout=timeout, tell=show.note
+            )
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class RanksFlags(EngineFlags):
+    """What simulates a case, on how many processes."""
+
+    ranks: Annotated[
+        int, Parameter(name=("--ranks", "-n"), help="processes that share one run (MPI); with gas: only the gas")
+    ] = 1
+    oversubscribe: Annotated[bool, Parameter(negative="", help="allow more ranks than cores")] = False
+
+    def solver(self, scene: Scene | BedScene) -> Engine | Coupled:
+        """Return the engine that runs this scene; refuses a flag that it would ignore."""
+        from kncal.runs.solving import engine_for
+
+        self.check(scene)
+        return engine_for(scene, self.engine, self.transport, ranks=self.ranks, oversubscribe=self.oversubscribe)
+
 
 _OF_SECOND = "of the second sphere or of the wall; default: as the first"
 
 
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
-class ContactFlags:
+class ContactFlags(Flags):
     """One contact, as given on the command line; numbers in SI units."""
 
     young: Annotated[float | None, Parameter(help="Young's modulus E [Pa], e.g. 70e9")] = None
@@ -41,10 +156,6 @@ class ContactFlags:
     poisson_2: Annotated[float | None, Parameter(help=_OF_SECOND)] = None
     density_2: Annotated[float | None, Parameter(help=_OF_SECOND)] = None
     radius_2: Annotated[float | None, Parameter(help="of the second sphere [m]; default: as the first")] = None
-
-    def given(self) -> list[str]:
-        """Return the flags that differ from their defaults."""
-        return [f"--{f.name.replace('_', '-')}" for f in fields(self) if getattr(self, f.name) != f.default]
 
     def title(self) -> str:
         """Return what meets what, for a heading."""

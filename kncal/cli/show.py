@@ -108,26 +108,11 @@ ProgressFor = Callable[[str], "Progress"]
 
 
 @contextmanager
-def progress_bars() -> Iterator[ProgressFor]:
-    """Show one progress bar per model on stderr (see `bars`)."""
-    from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+def run_bars(intervals: Mapping[str, float | None]) -> Iterator[ProgressFor]:
+    """Show one bar per model on stderr: how far it is, and the wall time that is left.
 
-    columns = (
-        TextColumn("{task.description:>8}"),
-        BarColumn(),
-        TextColumn("{task.completed:.0f}/{task.total:.0f} steps"),
-        TimeRemainingColumn(),
-    )
-    with bars(*columns) as shown:
-        yield _progress_for(shown, lambda _: (1.0, "steps"))
-
-
-@contextmanager
-def time_bars(intervals: Mapping[str, float]) -> Iterator[ProgressFor]:
-    """Show one bar per model on stderr: simulated time, simulated over wall time, and the wall time that is left.
-
-    ``intervals``: the simulated time [s] of one unit of progress, by model; of what is none (the packing) steps are
-    shown. Until the first progress a bar says that the run is being prepared.
+    ``intervals``: the simulated time [s] of one unit of progress, by model; without one the unit is a step. Until the
+    first progress a bar says that the run is being prepared.
     """
     from rich.progress import BarColumn, ProgressColumn, TextColumn
     from rich.text import Text
@@ -137,7 +122,7 @@ def time_bars(intervals: Mapping[str, float]) -> Iterator[ProgressFor]:
             if task.total is None:
                 return Text("preparing")
             if task.fields["unit"] == "steps":
-                text = f"{task.completed:.0f} of about {task.total:.0f} steps"
+                text = f"{task.completed:.0f} of {task.total:.0f} steps"
             else:
                 text = f"{task.completed:.3f} of {task.total:.3f} s simulated"
                 if speed := task.finished_speed or task.speed:
@@ -149,16 +134,19 @@ def time_bars(intervals: Mapping[str, float]) -> Iterator[ProgressFor]:
     columns = (TextColumn("{task.description:>8}"), BarColumn(bar_width=12), Times())
     with bars(*columns) as shown:
         start = shown.add_task("start", total=None)
-        made = _progress_for(shown, lambda k: (intervals[k], "s simulated") if k in intervals else (1.0, "steps"))
+        tasks: dict[str, TaskID] = {}
 
         def for_model(kind: str) -> Progress:
-            advance = made(kind)
+            interval = intervals.get(kind)
+            scale, unit = (1.0, "steps") if interval is None else (interval, "s simulated")
 
-            def go_on(done: int, total: int) -> None:
+            def advance(done: int, total: int) -> None:
                 shown.update(start, visible=False)
-                advance(done, total)
+                if kind not in tasks:
+                    tasks[kind] = shown.add_task(kind, total=scale * total, unit=unit, first=scale * done)
+                shown.update(tasks[kind], completed=scale * done, total=scale * total)
 
-            return go_on
+            return advance
 
         yield for_model
 
@@ -222,23 +210,6 @@ def _left(task: Task) -> timedelta | None:
     if task.total is None or task.finished or not done > 0.0:
         return None
     return timedelta(seconds=round((task.elapsed or 0.0) * (task.total - task.completed) / done))
-
-
-def _progress_for(shown: RichProgress, unit_of: Callable[[str], tuple[float, str]]) -> ProgressFor:
-    """Return what gives each model its progress callback; its bar appears with the first call."""
-    tasks: dict[str, TaskID] = {}
-
-    def for_model(kind: str) -> Progress:
-        scale, unit = unit_of(kind)
-
-        def advance(done: int, total: int) -> None:
-            if kind not in tasks:
-                tasks[kind] = shown.add_task(kind, total=scale * total, unit=unit, first=scale * done)
-            shown.update(tasks[kind], completed=scale * done, total=scale * total)
-
-        return advance
-
-    return for_model
 
 
 class _Steady(io.FileIO):

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
 from kncal.cli import show
-from kncal.cli.beds import Transport
-from kncal.cli.runs import Json, Set, measured
+from kncal.cli.flags import CaseFlags, EngineFlags, Json, Transport, Workers
 
 
 def stability(
@@ -17,13 +15,12 @@ def stability(
     *,
     engine: Annotated[
         Literal["liggghts", "builtin"],
-        Parameter(help="liggghts: confirms what the builtin engine finds; builtin: that one alone"),
+        Parameter(help="liggghts: confirms what the builtin engine finds; builtin: only that engine"),
     ] = "liggghts",
-    quick: Annotated[bool, Parameter(name="--quick", negative="", help="fewer probes, coarser maps")] = False,
     transport: Transport = "auto",
-    workers: Annotated[int | None, Parameter(help="LIGGGHTS runs at a time; default: one per core")] = None,
-    out: Annotated[Path | None, Parameter(name="--out", help="folder; default runs/<case>_stability here")] = None,
-    overrides: Set = None,
+    quick: Annotated[bool, Parameter(name="--quick", negative="", help="fewer probes, coarser maps")] = False,
+    workers: Workers = None,
+    at: CaseFlags | None = None,
     json: Json = False,
 ) -> None:
     """Find the edge of stability of CASE: by bisection in the time step, compared with theory, and maps of outcomes.
@@ -37,15 +34,13 @@ def stability(
     case
         A shipped case's name, a case folder or a case.toml.
     """
-    from kncal.scene.case_file import load_case
     from kncal.study.folders import refuse_other
     from kncal.study.stability.report import accuracy_table, bed_table, edge_table, write_stability
     from kncal.study.stability.workflow import RECORD, SPEED, STARTED, study_stability
 
-    scene = load_case(case, overrides=overrides or ())
-    folder = out if out is not None else Path("runs") / f"{scene.name}_stability"
+    scene, folder = (at or CaseFlags()).load(case, "stability")
     refuse_other(folder, RECORD, STARTED, case)
-    scene = measured(scene, folder / SPEED, engine=engine, transport=transport)
+    scene = EngineFlags(engine=engine, transport=transport).measured(scene, folder / SPEED)
     with show.working("probes") as now:
         found = study_stability(
             scene, folder, engine=engine, quick=quick, transport=transport, workers=workers, tell=now

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from kncal.cli import show
-from kncal.cli.beds import Transport
-from kncal.cli.runs import EngineName, Json, ModelChoice, Oversubscribe, Ranks, Timeout
+from kncal.cli.flags import Json, ModelChoice, RanksFlags, Timeout, Workers, kinds, several
 from kncal.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -28,32 +27,23 @@ _SHOWN, _LONGEST = 3, 400
 Parquet = Annotated[bool, Parameter(negative="", help="also write sweep.parquet (needs kncal[parquet])")]
 
 
-def _several(name: str, text: str) -> Parameter:
-    return Parameter(name=name, negative="", help=text)
-
-
 def sweep(
     case: str,
     *,
     overrides: Annotated[
         list[str] | None,
-        _several("--set", "KEY=VALUE,VALUE,...: a grid over these values (may be repeated); commas in [] don't count"),
+        several("--set", "KEY=VALUE,VALUE,...: a grid over these values; commas in [] don't count"),
     ] = None,
     points: Annotated[Path | None, Parameter(help="CSV file: header of dotted keys, one run per row")] = None,
     sample: Annotated[int | None, Parameter(help="number of points of a Latin hypercube over --range")] = None,
     ranges: Annotated[
-        list[str] | None, _several("--range", "KEY=LOW:HIGH for --sample, e.g. contact.v_0=0.1:1.0 (may be repeated)")
+        list[str] | None, several("--range", "KEY=LOW:HIGH for --sample, e.g. contact.v_0=0.1:1.0")
     ] = None,
-    log: Annotated[
-        list[str] | None, _several("--log", "KEY of a --range to sample by its logarithm (may be repeated)")
-    ] = None,
+    log: Annotated[list[str] | None, several("--log", "KEY of a --range to sample by its logarithm")] = None,
     seed: Annotated[int | None, Parameter(help="of --sample; the same seed gives the same points; default 0")] = None,
     model: ModelChoice = "both",
-    engine: EngineName = "liggghts",
-    transport: Transport = "auto",
-    workers: Annotated[int | None, Parameter(help="runs at a time; default: one per core (and rank)")] = None,
-    ranks: Ranks = 1,
-    oversubscribe: Oversubscribe = False,
+    by: RanksFlags | None = None,
+    workers: Workers = None,
     out: Annotated[
         Path | None, Parameter(name="--out", help="folder of the sweep; default runs/<case>_sweep here")
     ] = None,
@@ -95,16 +85,16 @@ def sweep(
     if parquet:
         check_parquet()
     groups = _groups(overrides, points, sample, ranges, log, seed)
-    _check_flags(case, engine, transport)
-    kinds = ("linear", "hertz") if model == "both" else (model,)
-    settings = Settings(engine=engine, models=kinds, transport=transport, timeout=timeout)
-    if ranks > 1:
-        settings = replace(settings, ranks=ranks, oversubscribe=oversubscribe)
+    by, scene = by or RanksFlags(), load_case(case)
+    by.check(scene)
+    settings = Settings(engine=by.engine, models=kinds(model), transport=by.transport, timeout=timeout)
+    if by.ranks > 1:
+        settings = replace(settings, ranks=by.ranks, oversubscribe=by.oversubscribe)
         workers = _workers(workers, settings, elsewhere=executor == "slurm" or bool(scheduler or export_slurm))
     _check_cluster_flags(executor, scheduler, queue, walltime, memory, interface, export_slurm, parquet)
     options = SlurmOptions(queue=queue or "", walltime=walltime or "", memory=memory or "", interface=interface or "")
     runner = _executor(executor, workers, scheduler, options)
-    folder = out if out is not None else Path("runs") / f"{load_case(case).name}_sweep"
+    folder = out if out is not None else Path("runs") / f"{scene.name}_sweep"
     combined = combine(groups)
     minded: dict[str, dict[str, str]] = {}
 
@@ -287,18 +277,6 @@ def _groups(
     if len({r.path for r in found}) < len(found):
         raise InputError("--range: a key is given twice; expected each key once")
     return [*groups, hypercube(found, sample, seed or 0)]
-
-
-def _check_flags(case: str, engine: str, transport: str) -> None:
-    """Refuse a flag that the kind of case at hand would pass over in silence."""
-    from kncal.scene.bed_scene import BedScene
-    from kncal.scene.case_file import load_case
-
-    bed = isinstance(load_case(case), BedScene)
-    if bed and engine != "liggghts":
-        raise InputError("--engine has no meaning for a bed: leave it out")
-    if not bed and transport != "auto":
-        raise InputError("--transport has no meaning for a case of single contacts: leave it out")
 
 
 class _Told:

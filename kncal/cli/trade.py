@@ -6,14 +6,12 @@ import math
 import re
 import shlex
 from collections.abc import Iterable
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from kncal.cli import show
-from kncal.cli.beds import Transport
-from kncal.cli.runs import EngineName, Json, Set
+from kncal.cli.flags import CaseFlags, EngineFlags, Json, Workers, several
 from kncal.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -22,43 +20,33 @@ if TYPE_CHECKING:
 _SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
 
 
-def _several(name: str, text: str) -> Parameter:
-    return Parameter(name=name, negative="", help=text)
-
-
 def trade(
     case: str,
     *,
     tolerances: Annotated[
         list[str] | None,
-        _several(
-            "--tolerance", "METRIC=SHARE, e.g. restitution=1% (may be repeated); default: the case's [tolerances]"
-        ),
+        several("--tolerance", "METRIC=SHARE, e.g. restitution=1%; default: the case's [tolerances]"),
     ] = None,
     reference: Annotated[
         list[str] | None,
-        _several(
+        several(
             "--reference",
             "KEY=VALUE that makes a material real where the case's is softened, e.g. materials.soft.young=1e9",
         ),
     ] = None,
     factors: Annotated[
         list[str] | None,
-        _several(
-            "--factor", "share of k_n and of the modulus to try, e.g. 1/30 (may be repeated); default 1 to 1/10000"
-        ),
+        several("--factor", "share of k_n and of the modulus to try, e.g. 1/30; default 1 to 1/10000"),
     ] = None,
     steps: Annotated[
         list[float] | None,
-        _several("--steps", "steps per contact to try (may be repeated); default 10, 20, 50 and 100"),
+        several("--steps", "steps per contact to try; default 10, 20, 50 and 100"),
     ] = None,
     rounds: Annotated[int, Parameter(help="how often each run is repeated for its CPU time")] = 3,
     budget: Annotated[str | None, Parameter(help="wall-clock time for everything, e.g. 90s, 10min, 2h")] = None,
-    workers: Annotated[int | None, Parameter(help="runs at a time; default: one per core")] = None,
-    engine: EngineName = "liggghts",
-    transport: Transport = "auto",
-    out: Annotated[Path | None, Parameter(name="--out", help="folder; default runs/<case>_trade here")] = None,
-    overrides: Set = None,
+    workers: Workers = None,
+    at: CaseFlags | None = None,
+    by: EngineFlags | None = None,
     json: Json = False,
 ) -> int:
     """Measure what softer and coarser contacts save on CASE, and find the cheapest inside the tolerances.
@@ -73,30 +61,25 @@ def trade(
     """
     from kncal.observe.tolerances import parse_tolerances
     from kncal.scene.bed_scene import BedScene
-    from kncal.scene.case_file import load_case
     from kncal.study.trade.base import FACTORS, STEPS, TradeOptions
     from kncal.study.trade.workflow import run_trade
 
-    scene = load_case(case, overrides=overrides or ())
-    bed = isinstance(scene, BedScene)
-    if bed and engine != "liggghts":
-        raise InputError("--engine has no meaning for a bed: leave it out")
-    if not bed and transport != "auto":
-        raise InputError("--transport has no meaning for a case of single contacts: leave it out")
+    at, by = at or CaseFlags(), by or EngineFlags()
+    scene, folder = at.load(case, "trade")
+    by.check(scene)
     options = TradeOptions(
-        tolerances=parse_tolerances(tolerances or (), bed=bed),
+        tolerances=parse_tolerances(tolerances or (), bed=isinstance(scene, BedScene)),
         reference=tuple(reference or ()),
         steps=tuple(steps or STEPS),
         factors=_factors(factors) if factors else FACTORS,
         rounds=rounds,
         budget=None if budget is None else seconds(budget),
         workers=workers,
-        engine=engine,
-        transport=transport,
+        engine=by.engine,
+        transport=by.transport,
     )
-    folder = out if out is not None else Path("runs") / f"{scene.name}_trade"
     with show.working("trade"):
-        result = run_trade(case, folder, options, show.note, overrides=overrides or ())
+        result = run_trade(case, folder, options, show.note, overrides=at.overrides or ())
     if json:
         show.as_json(result.to_dict())
     else:

@@ -5,15 +5,12 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
 from kncal.cli import show
-from kncal.cli.beds import Transport
-from kncal.cli.runs import EngineName, Json, Set, Timeout
-from kncal.core.errors import InputError
+from kncal.cli.flags import CaseFlags, EngineFlags, Json, Timeout, Workers, several
 
 if TYPE_CHECKING:
     from kncal.study.runs import OnStudyProgress
@@ -29,21 +26,15 @@ def trim(
     ] = None,
     tolerance: Annotated[
         list[str] | None,
-        Parameter(
-            name="--tolerance",
-            negative="",
-            help="METRIC=SHARE that may change, e.g. restitution=1% (may be repeated); default: those of the case",
-        ),
+        several("--tolerance", "METRIC=SHARE that may change, e.g. restitution=1%; default: those of the case"),
     ] = None,
     rounds: Annotated[
         int | None, Parameter(help="how often all is run, for the spread of CPU times; default 3, of beds 1")
     ] = None,
-    engine: EngineName = "liggghts",
-    transport: Transport = "auto",
-    workers: Annotated[int | None, Parameter(help="runs at a time; default: one per core")] = None,
-    out: Annotated[Path | None, Parameter(name="--out", help="folder; default runs/<case>_trim here")] = None,
+    workers: Workers = None,
     timeout: Timeout = None,
-    overrides: Set = None,
+    at: CaseFlags | None = None,
+    by: EngineFlags | None = None,
     json: Json = False,
 ) -> None:
     """Run CASE with and without each optional part of its physics; tell cost and effect, and write the trimmed case.
@@ -59,30 +50,24 @@ def trim(
     """
     from kncal.observe.tolerances import parse_tolerances
     from kncal.scene.bed_scene import BedScene
-    from kncal.scene.case_file import load_case
     from kncal.study.trim.report import write_trim
     from kncal.study.trim.workflow import TrimOptions
     from kncal.study.trim.workflow import trim as run_trim
 
-    scene = load_case(case, overrides=overrides or ())
-    ignored = "engine" if engine != "liggghts" else ""
-    if not isinstance(scene, BedScene):
-        ignored = "transport" if transport != "auto" else ""
-    if ignored:
-        kind = "a bed" if isinstance(scene, BedScene) else "a case of single contacts"
-        raise InputError(f"--{ignored} has no meaning for {kind}: leave it out")
+    at, by = at or CaseFlags(), by or EngineFlags()
+    scene, folder = at.load(case, "trim")
+    by.check(scene)
     options = TrimOptions(
         model=model,
-        overrides=tuple(overrides or ()),
+        overrides=tuple(at.overrides or ()),
         tolerances=parse_tolerances(tolerance or (), bed=isinstance(scene, BedScene)),
         parts=None if parts is None else tuple(name.strip() for name in parts.split(",")),
         rounds=rounds,
-        engine=engine,
-        transport=transport,
+        engine=by.engine,
+        transport=by.transport,
         workers=workers,
         timeout=timeout,
     )
-    folder = out if out is not None else Path("runs") / f"{scene.name}_trim"
     with _told() as progress:
         found = run_trim(case, folder, options, on_progress=progress, tell=show.note)
     page = write_trim(found, folder)

@@ -91,7 +91,7 @@ class Coupled:
     name = "coupled"
 
     def __init__(self, transport: str = "auto", *, ranks: int = 1, oversubscribe: bool = False) -> None:
-        self.ranks, self._oversubscribe = check_ranks(ranks, oversubscribe=oversubscribe), oversubscribe
+        self.ranks, self.oversubscribe = check_ranks(ranks, oversubscribe=oversubscribe), oversubscribe
         if ranks > 1 and transport == "live":
             raise InputError(f"transport = 'live' with ranks = {ranks}: live has one gas solver; expected 'restart'")
         self.transport, self._library = choose_transport("restart" if ranks > 1 else transport)
@@ -194,7 +194,7 @@ class Coupled:
                 dem = LiggghtsDem(model, folder / PARTICLES, start, restart=at, pass_fds=pass_fds)
                 sides.enter_context(_closing(dem))
                 if at is not None and dem.step != first * model.steps_per_coupling:
-                    raise ReadError(f"{at}: the state of step {dem.step}, not of coupling {first}; run it with --anew")
+                    raise ReadError(f"{at}: the state of step {dem.step}, not of coupling {first}; run it with --rerun")
             run = CoupledRun(
                 model,
                 folder,
@@ -219,7 +219,7 @@ class Coupled:
             return LiveGas(setup, folder / GAS, self._library, count, pass_fds=pass_fds)
         from kncal.engines.dpmfoam.restart import RestartGas
 
-        return RestartGas(setup, folder / GAS, ranks=self.ranks, oversubscribe=self._oversubscribe, pass_fds=pass_fds)
+        return RestartGas(setup, folder / GAS, ranks=self.ranks, oversubscribe=self.oversubscribe, pass_fds=pass_fds)
 
 
 @contextmanager

@@ -110,7 +110,7 @@ def bed_impact_speeds(series: BedSeries, begin: float, doubt: str = "") -> dict[
     if not series.facts.impact_edges:
         raise InputError(
             "impact speeds: not recorded (its particles do not move, or an earlier kncal ran it): expected a run of "
-            "moving particles; run the case again with --anew"
+            "moving particles; run the case again with --rerun"
         )
     rows = rows_from(series, begin)
     edges = np.array(series.facts.impact_edges)

@@ -58,7 +58,7 @@ def speeds_section(comparison: BedComparison, folder: Path) -> SpeedsSection | N
         if not data.series.facts.impact_edges:
             sentences.append(
                 f"{_RUNS[kind]}: impact speeds are not recorded in this run, which an earlier kncal made; "
-                "the same command with --anew records them."
+                "the same command with --rerun records them."
             )
             continue
         begin, _, doubt = window_start(data.series, model.scene.run.discard)

@@ -19,7 +19,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +48,19 @@ PIECES = "series"
 MEASURING = "measuring"
 #: All that kncal puts into a run folder and moves to an attempt; what else is there is somebody's own.
 OURS = (*KINDS, CASE, MANIFEST, REPORT, ROW)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Schedule:
+    """How long a run is: ``steps`` of ``dt`` [s] to ``t_end`` [s]; ``interval`` [s] between gas and particles, or None.
+
+    Progress counts steps, with an interval those.
+    """
+
+    steps: int
+    dt: float
+    t_end: float
+    interval: float | None = None
 
 
 @contextmanager
@@ -193,14 +206,7 @@ def refuse_links(out: Path) -> None:
 
 
 def model_manifest(
-    model: Model | BedModel,
-    folder: Path,
-    profile: Profile,
-    command: list[str],
-    *,
-    steps: int,
-    t_end: float,
-    ranks: int = 1,
+    model: Model | BedModel, folder: Path, profile: Profile, command: list[str], schedule: Schedule, ranks: int = 1
 ) -> dict[str, Any]:
     """Return what ``manifest.json`` of one model's folder holds: what was rendered, for which solver, by whom."""
     found = (p for p in sorted(folder.rglob("*")) if p.is_file() and p.name != MANIFEST)
@@ -223,8 +229,8 @@ def model_manifest(
         "python": platform.python_version(),
         "platform": platform.platform(),
         "dt": model.dt,
-        "steps": steps,
-        "t_end": t_end,
+        "steps": schedule.steps,
+        "t_end": schedule.t_end,
         "contacts": {
             f"{a}–{b}": {k: v for k, v in asdict(c).items() if v is not None} | {"pairs_of_bodies": number}
             for (a, b), (c, number) in distinct(model.contacts).items()
@@ -233,21 +239,6 @@ def model_manifest(
         "rendered": _now(),
         **({"foreign_templates": dict(hashes)} if (hashes := foreign_hashes()) else {}),
     }
-
-
-def write_model_manifest(
-    model: Model | BedModel,
-    folder: Path,
-    profile: Profile,
-    command: list[str],
-    *,
-    steps: int,
-    t_end: float,
-    ranks: int = 1,
-) -> None:
-    """Write ``manifest.json`` of one model's folder; see `model_manifest`."""
-    data = model_manifest(model, folder, profile, command, steps=steps, t_end=t_end, ranks=ranks)
-    write_json(folder / MANIFEST, data)
 
 
 def write_result(result: RunResult) -> None:
@@ -293,9 +284,8 @@ def read_result(folder: Path) -> RunResult:
             raise ReadError(f"{folder / name}: {size} bytes with those before it, expected at most {4 * MOST_HASHED}")
         if sha256(folder / name) != digest:
             raise ReadError(f"{folder / name}: changed since the run ended; run the case again")
-    needed = SERIES if record.engine == "coupled" else FRAMES
-    if record.status == "completed" and needed not in record.files_sha256:
-        raise ReadError(f"{path}: files_sha256 names no {needed}, expected it of a completed run")
+    if record.status == "completed" and not {FRAMES, SERIES} & record.files_sha256.keys():
+        raise ReadError(f"{path}: files_sha256 names no {FRAMES} or {SERIES}, expected one of a completed run")
     data = record.model_dump(exclude={"ended", "files_sha256", "folder", "log"}, exclude_unset=True)
     return RunResult(**data, folder=folder, log=folder / record.log if record.log else None)
 

@@ -8,6 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kncal.core.errors import InputError
+from kncal.observe.averages import window_start
+from kncal.observe.bed_compare import BedRunData
+from kncal.observe.compare import RunData
 from kncal.observe.impact_speeds import (
     Enduring,
     ImpactSpeeds,
@@ -18,10 +21,12 @@ from kncal.observe.impact_speeds import (
     stiffness_at,
 )
 from kncal.physics.material import Pair
-from kncal.runs.folder import read_model_folder
+from kncal.runs.workflow import load
+from kncal.scene.bed_planning import PARTICLES, WALLS, bed_pairs
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.model import PairContact
 from kncal.scene.pair_contact import PairNumbers, numbers_of
+from kncal.scene.plan import pair_of, species_choices
 from kncal.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -102,19 +107,14 @@ def run_speeds(folder: Path) -> RunSpeeds:
     InputError
         If it has no record of impact speeds.
     """
-    scene, _, _ = read_model_folder(folder)
+    data = load(folder)
     try:
-        return _of_bed(folder) if isinstance(scene, BedScene) else _of_contacts(folder)
+        return _of_bed(data) if isinstance(data, BedRunData) else _of_contacts(data)
     except InputError as error:
         raise InputError(f"{folder}: {error}") from error
 
 
-def _of_bed(folder: Path) -> RunSpeeds:
-    from kncal.observe.averages import window_start
-    from kncal.runs.bed_workflow import load_bed_run
-    from kncal.scene.bed_planning import PARTICLES, WALLS, bed_pairs
-
-    data = load_bed_run(folder)
+def _of_bed(data: BedRunData) -> RunSpeeds:
     scene, series = data.model.scene, data.series
     begin, _, doubt = window_start(series, scene.run.discard)
     wall = scene.column.wall_material
@@ -143,11 +143,7 @@ def _of_bed(folder: Path) -> RunSpeeds:
     )
 
 
-def _of_contacts(folder: Path) -> RunSpeeds:
-    from kncal.runs.workflow import load_run
-    from kncal.scene.plan import pair_of, species_choices
-
-    data = load_run(folder)
+def _of_contacts(data: RunData) -> RunSpeeds:
     scene, contacts = data.model.scene, [event for event in data.observations.contacts if event.v_in > 0.0]
     bodies = {(a.name, b.name): (a, b) for a, b in scene.body_pairs()}
     species, choices = data.model.species, species_choices(scene)

@@ -18,6 +18,8 @@ from kncal.observe.impact_speeds import STATISTICS, ImpactSpeeds, StiffnessAt, p
 from kncal.runs.folder import MEASURING, refuse_foreign
 from kncal.runs.impact_speeds import RunSpeeds, run_speeds
 from kncal.runs.resume import Tell
+from kncal.runs.solving import engine_for, guessed_speed, trial
+from kncal.runs.workflow import require_completed, run_case
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.pair_contact import calibration_for
 from kncal.scene.scene import MeasuredSpeed, Scene
@@ -91,10 +93,11 @@ def resolve_measured(
     rounds: list[Round] = []
     for number in range(1, asked.rounds + 1):
         folder = out / MEASURING / f"round-{number}"
-        trial = _trial(scene, asked, v_0)
-        _run(trial, folder, engine, transport, timeout, tell or _silent)
+        short = trial(scene, v_0, asked.run_time)
+        solver = engine_for(scene, engine, transport)
+        require_completed(run_case(short, solver, folder, ("linear",), timeout=timeout, tell=tell).values())
         seen = run_speeds(folder / "linear")
-        rounds.append(_judge(trial, asked, number, v_0, seen, folder))
+        rounds.append(_judge(short, asked, number, v_0, seen, folder))
         settled = rounds[-1].settled
         _record(scene, asked, rounds, seen, out / MEASURING)
         last = rounds[-1].found.v_0
@@ -117,44 +120,13 @@ def resolve_measured(
 def _start(scene: Scene | BedScene, asked: MeasuredSpeed) -> float:
     if asked.start is not None:
         return asked.start
-    from kncal.scene.plan import first_impact_speed
-
-    speed = None if isinstance(scene, BedScene) else first_impact_speed(scene)
+    speed = guessed_speed(scene)
     if speed is None:
         raise CaseFileError(
             f"{scene.name}: nothing moves towards anything at the start: expected contact.measured.start [m/s], a "
             "first guess of the impact speed"
         )
     return _rounded(speed)
-
-
-def _trial(scene: _S, asked: MeasuredSpeed, v_0: float) -> _S:
-    """Return the scene of one round."""
-    contact = replace(scene.contact, v_0=v_0, measured=None)
-    time = asked.run_time
-    if isinstance(scene, BedScene):
-        end = scene.run.end_time if time is None else time
-        discard = scene.run.discard
-        kept = discard if discard is not None and discard < 0.5 * end else None
-        return replace(scene, contact=contact, run=replace(scene.run, end_time=end, discard=kept, frames_every=end))
-    run = scene.run if time is None else replace(scene.run, until_time=time, until_bounces=None)
-    return replace(scene, contact=contact, run=run)
-
-
-def _run(trial: Scene | BedScene, folder: Path, engine: str, transport: str, timeout: float | None, tell: Tell) -> None:
-    from kncal.runs.workflow import get_engine, require_completed, run_case
-
-    if isinstance(trial, BedScene):
-        from kncal.runs.bed_workflow import run_bed
-
-        results = run_bed(trial, folder, ("linear",), transport=transport, timeout=timeout, tell=tell)
-    else:
-        results = run_case(trial, get_engine(engine), folder, ("linear",), timeout=timeout, tell=tell)
-    require_completed(results.values())
-
-
-def _silent(_: str) -> None:
-    pass
 
 
 def _judge(

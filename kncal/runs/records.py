@@ -84,7 +84,7 @@ class Solver(Record):
 
 
 class ModelManifest(Record):
-    """``manifest.json`` of a model's folder, as `kncal.runs.folder.write_model_manifest` writes it."""
+    """``manifest.json`` of a model's folder, as `kncal.runs.folder.model_manifest` makes it."""
 
     kncal: str
     case: str

@@ -1,4 +1,4 @@
-"""What an earlier start left of a run: is it taken as it is, gone on with, or done anew, and why."""
+"""What an earlier start left of a run: is it kept, resumed, or run anew, and why."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ class Earlier:
 
     Attributes
     ----------
-    action : "keep" (it is done), "go on" (from its last checkpoint) or "run"
+    action : "keep" (it is done), "resume" (from its last checkpoint) or "run"
     why : for a person; empty where there was nothing
     result : of the finished run, with "keep"
     """
 
-    action: Literal["keep", "go on", "run"]
+    action: Literal["keep", "resume", "run"]
     why: str = ""
     result: RunResult | None = None
 
@@ -68,7 +68,7 @@ def take_up(
     attempt = set_aside(out, old) if old else None
     for kind, earlier in found.items():
         if tell and earlier.why:
-            done = {"keep": "not run again", "go on": "goes on", "run": f"runs anew (the old one is in {attempt})"}
+            done = {"keep": "not run again", "resume": "resumes", "run": f"runs again (the old run is in {attempt})"}
             tell(f"{kind} {done[earlier.action]}: {earlier.why}")
     return found
 
@@ -85,7 +85,7 @@ def look_back(folder: Path, manifest: Mapping[str, Any], *, repeat: int = 1, che
     repeat : int
         How many CPU times are wanted.
     checkpoint : str
-        Where an unfinished run could go on ("coupling 500 of 2012"); empty: nowhere.
+        Where an unfinished run could resume ("coupling 500 of 2012"); empty: nowhere.
     """
     if not folder.exists():
         return Earlier(action="run")
@@ -105,7 +105,7 @@ def look_back(folder: Path, manifest: Mapping[str, Any], *, repeat: int = 1, che
     else:  # only rendered
         why = ""
     if checkpoint:
-        return Earlier(action="go on", why=f"{why}; from {checkpoint}")
+        return Earlier(action="resume", why=f"{why}; from {checkpoint}")
     return Earlier(action="run", why=why)
 
 

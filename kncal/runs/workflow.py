@@ -1,13 +1,12 @@
-"""The main job in one place: scene -> models -> rendered folders -> runs -> observations."""
+"""The main job in one place: scene -> models -> rendered folders -> runs -> numbers -> comparison -> report."""
 
 from __future__ import annotations
 
 import logging
-import math
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +22,13 @@ from kncal.core.errors import (
 )
 from kncal.core.files import write_json
 from kncal.core.scratch import scratch
-from kncal.engines.base import Engine, Progress, run_result
-from kncal.observe.compare import Comparison, RunData
-from kncal.observe.contacts import observe
+from kncal.engines.base import Engine, Progress
+from kncal.engines.coupled import Coupled
+from kncal.observe.bed_compare import BedComparison, BedRunData, compare_beds
+from kncal.observe.compare import Comparison, RunData, compare
 from kncal.record.outcome import RunResult
 from kncal.runs.folder import (
+    REPORT,
     case_folder,
     model_manifest,
     read_manifest,
@@ -36,103 +37,124 @@ from kncal.runs.folder import (
     write_result,
 )
 from kncal.runs.records import MANIFEST, RESULT
-from kncal.runs.resume import Tell, take_up
+from kncal.runs.resume import Earlier, Tell, take_up
+from kncal.runs.solving import (
+    PACKING,
+    Bed,
+    Contacts,
+    check_options,
+    plan_checked,
+    read_run,
+    schedule,
+    solving,
+    warnings_of,
+)
 from kncal.runs.started import started
 from kncal.scene.bed_scene import BedScene
-from kncal.scene.model import KINDS, Model
-from kncal.scene.plan import plan
+from kncal.scene.limits import no_contact
+from kncal.scene.model import KINDS
 from kncal.scene.scene import Scene
 
-#: Engines by name; liggghts-hooke lets LIGGGHTS find the stiffness itself (cases with method strain_energy only).
-ENGINES = ("liggghts", "builtin", "liggghts-hooke")
-
-#: Called for each model with its kind; returns the progress callback of that run.
+#: Called for each model with its kind, and with `PACKING`; returns the progress callback of that run.
 ProgressFor = Callable[[str], Progress | None]
 
 
-def get_engine(name: str, *, ranks: int = 1, oversubscribe: bool = False) -> Engine:
-    """Return an engine by name, for runs on ``ranks`` ranks (see `kncal.core.mpi.check_ranks`).
+@dataclass(frozen=True, kw_only=True)
+class _Rendered:
+    """A run folder that is held: its models, what an earlier start left of each, how to run them, the lock."""
 
-    Raises
-    ------
-    InputError
-        For an unknown name, or a number of ranks that cannot be.
-    """
-    one_of("engine", name, ENGINES)
-    if name == "builtin":
-        if ranks != 1:
-            raise InputError(f"ranks = {ranks}: the engine builtin computes in kncal's own process; expected 1")
-        from kncal.engines.builtin import Builtin
-
-        return Builtin()
-    from kncal.engines.liggghts.batch import Liggghts
-
-    style = "hooke" if name == "liggghts-hooke" else "hooke/stiffness"
-    return Liggghts(style, ranks=ranks, oversubscribe=oversubscribe)
+    models: Mapping[str, Any]
+    earlier: Mapping[str, Earlier]
+    way: Contacts | Bed
+    lock: int
 
 
 def render_case(
-    scene: Scene, engine: Engine, out: Path, kinds: Iterable[str] = KINDS, *, tell: Tell | None = None
-) -> Mapping[str, Model]:
+    scene: Scene | BedScene,
+    engine: Engine | Coupled,
+    out: Path,
+    kinds: Iterable[str] = KINDS,
+    *,
+    progress_for: ProgressFor | None = None,
+    tell: Tell | None = None,
+) -> Mapping[str, Any]:
     """Write the case folder: one subfolder with solver input per model, manifests, the case itself.
 
     Returns the models by kind. Whatever can be refused is refused before anything is written or moved; what an earlier
-    run left in ``out`` is moved to ``attempt-N``.
+    run left in ``out`` is moved to ``attempt-N``. The settled packing of a bed is made by LIGGGHTS for it.
+
+    Raises
+    ------
+    CaseFileError
+        If a limit refuses the scene.
+    RenderError
+        If the engine cannot simulate it, or ``out`` holds other things.
+    RunError
+        If the packing fails (SolverMissingError: LIGGGHTS is not installed).
     """
-    with _rendered(scene, engine, out, kinds, anew=True, repeat=1, tell=tell) as (models, _, _):
-        return models
+    with _rendered(
+        scene, engine, out, kinds, by_hand=True, rerun=True, repeat=1, progress_for=progress_for, tell=tell
+    ) as it:
+        return it.models
 
 
 @contextmanager
 def _rendered(
-    scene: Scene, engine: Engine, out: Path, kinds: Iterable[str], *, anew: bool, repeat: int, tell: Tell | None
-) -> Iterator[tuple[Mapping[str, Model], dict[str, RunResult], int]]:
-    """Render into ``out`` and own it: the models, finished results that are kept, the lock for the solvers."""
-    kinds = tuple(one_of("model", kind, KINDS) for kind in kinds)
-    models = plan(scene, kinds)
+    scene: Scene | BedScene,
+    engine: Engine | Coupled,
+    out: Path,
+    kinds: Iterable[str],
+    *,
+    by_hand: bool,
+    rerun: bool,
+    repeat: int,
+    progress_for: ProgressFor | None,
+    tell: Tell | None,
+) -> Iterator[_Rendered]:
+    """Render into ``out`` and hold it."""
+    way = solving(scene, engine, by_hand=by_hand)
+    models = plan_checked(scene, [one_of("model", kind, KINDS) for kind in kinds])
     profile = engine.profile()
+    way.prepare(tell, progress_for(PACKING) if progress_for else None)
     with scratch() as draft:
         for kind, model in models.items():
-            (draft / kind).mkdir()
-            engine.render(model, draft / kind)
-        with case_folder(scene, out, keep=not anew, tell=tell) as lock:
+            way.write(model, draft / kind, by_hand=by_hand)
+        with case_folder(scene, out, keep=not rerun, tell=tell) as lock:
             manifests = {
                 kind: model_manifest(
-                    model,
-                    draft / kind,
-                    profile,
-                    list(engine.command(model)),
-                    steps=model.n_steps,
-                    t_end=model.t_end,
-                    ranks=engine.ranks,
+                    model, draft / kind, profile, way.command(model, by_hand=by_hand), schedule(model), engine.ranks
                 )
                 for kind, model in models.items()
             }
-            found = take_up(out, manifests, repeat=repeat, tell=tell)
-            kept = {kind: earlier.result for kind, earlier in found.items() if earlier.result is not None}
+            checkpoints = {kind: way.checkpoint(model, out / kind) for kind, model in models.items()}
+            earlier = take_up(out, manifests, repeat=repeat, checkpoints=checkpoints, tell=tell)
             for kind, manifest in manifests.items():
-                if kind not in kept:
-                    shutil.copytree(draft / kind, out / kind)
+                if earlier[kind].action == "run":
+                    if by_hand:
+                        shutil.copytree(draft / kind, out / kind)
+                    else:
+                        way.place(draft / kind, out / kind)
                     write_json(out / kind / MANIFEST, manifest)
-            yield models, kept, lock
+            yield _Rendered(models=models, earlier=earlier, way=way, lock=lock)
 
 
 def run_case(
-    scene: Scene,
-    engine: Engine,
+    scene: Scene | BedScene,
+    engine: Engine | Coupled,
     out: Path,
     kinds: Iterable[str] = KINDS,
     *,
     timeout: float | None = None,
     progress_for: ProgressFor | None = None,
     repeat: int = 1,
-    anew: bool = False,
+    rerun: bool = False,
     tell: Tell | None = None,
 ) -> dict[str, RunResult]:
     """Render and run the models, and stop at the first that does not complete.
 
-    A model whose completed run is in ``out``, of the same input by the same solver, is not run again (``anew``: it is).
-    Whatever else was there is moved to ``attempt-N``. ``tell`` is called with a sentence about each such model.
+    A model whose completed run is in ``out``, of the same input by the same solver, is not run again; a bed that was
+    stopped resumes at its last complete checkpoint (``rerun``: both start again). Whatever else was there is moved to
+    ``attempt-N``. ``tell`` is called with a sentence about each such model.
 
     With ``repeat`` > 1 the models are run in turn that many times (A B A B ...), so that their CPU times are comparable
     on a busy machine; the frames kept are the last run's, the CPU seconds of all stand in ``extra["cpu_samples"]``.
@@ -141,15 +163,20 @@ def run_case(
     Raises
     ------
     InputError
-        If the timeout or the number of repeats is not positive, or a kind is unknown.
+        If the timeout or the number of repeats is not positive, a kind is unknown, or the scene cannot use them or the
+        engine's ranks.
+    CaseFileError
+        If a limit refuses the run; nothing is written then.
     SolverMissingError
         If there is no solver; nothing is written then.
     RunError
-        If the folder cannot be written.
+        If the packing of a bed fails, or the folder cannot be written.
     """
     in_range("repeat", repeat, 1, 1e6)
+    check_options(scene, repeat=repeat)
     if timeout is not None:
         positive("timeout", timeout, unit="s")
+    solving(scene, engine)
     profile = engine.profile()
     if profile.program is None:
         raise SolverMissingError(profile.problem)
@@ -158,15 +185,36 @@ def run_case(
     results: dict[str, RunResult] = {}
     samples: dict[str, list[float]] = {kind: [] for kind in KINDS}
     try:
-        with _rendered(scene, engine, out, kinds, anew=anew, repeat=repeat, tell=tell) as (models, kept, lock):
-            results |= kept
-            for kind, model in [item for item in models.items() if item[0] not in kept] * repeat:
+        with _rendered(
+            scene,
+            engine,
+            out,
+            kinds,
+            by_hand=False,
+            rerun=rerun,
+            repeat=repeat,
+            progress_for=progress_for,
+            tell=tell,
+        ) as it:
+            for kind, found in it.earlier.items():
+                used = "none" if found.result is None else found.result.extra.get("transport", "none")
+                if tell and used not in ("none", getattr(engine, "transport", used)):
+                    tell(f"{kind}: that run used the {used} transport, which gives the same numbers")
+            results |= {kind: found.result for kind, found in it.earlier.items() if found.result is not None}
+            for kind in [kind for kind in it.models if kind not in results] * repeat:
                 folder, progress = out / kind, progress_for(kind) if progress_for else None
                 with started(folder):  # a result of an earlier repeat would vouch for what this one is writing
                     try:
-                        result = engine.run(model, folder, timeout=timeout, progress=progress, pass_fds=(lock,))
+                        result = it.way.run(
+                            it.models[kind],
+                            folder,
+                            timeout=timeout,
+                            progress=progress,
+                            resume=it.earlier[kind].action == "resume",
+                            pass_fds=(it.lock,),
+                        )
                     except KeyboardInterrupt:
-                        result = run_result(engine.name, model, folder, "interrupted", message="stopped by the user")
+                        result = _interrupted(engine.name, it.models[kind], folder)
                     samples[kind].append(result.cpu_seconds)
                     extra = {**result.extra, "cpu_samples": list(samples[kind])}
                     extra |= {"warning": profile.warning} if profile.warning else {}
@@ -177,6 +225,21 @@ def run_case(
     except OSError as error:
         raise RunError(f"{error.filename or out}: {error.strerror or error}", failure_of(error)) from error
     return {kind: results[kind] for kind in KINDS if kind in results}
+
+
+def _interrupted(engine: str, model: Any, folder: Path) -> RunResult:
+    return RunResult(
+        status="interrupted",
+        engine=engine,
+        model=model.kind,
+        folder=folder,
+        steps=schedule(model).steps,
+        dt=model.dt,
+        cpu_seconds=0.0,
+        wall_seconds=0.0,
+        version="",
+        message="stopped by the user",
+    )
 
 
 def require_completed(results: Iterable[RunResult]) -> None:
@@ -196,62 +259,80 @@ def require_completed(results: Iterable[RunResult]) -> None:
         raise kinds.get(result.status, RunError)(text)
 
 
-def load_run(folder: Path) -> RunData:
-    """Read a completed model's run folder back: scene, model, frames, observations.
+def load(folder: Path) -> RunData | BedRunData:
+    """Read a completed model's run folder back: scene, model, result, and what was recorded.
 
     Raises
     ------
     ReadError
-        If the folder is not one, or its files are damaged.
+        If the folder is not one, or its files are damaged or of another plan.
     RunError
         If the run did not complete.
     """
-    scene, kind, engine_name = read_model_folder(folder)
-    if isinstance(scene, BedScene):
-        raise ReadError(f"{folder}: the run of a bed, expected that of a single contact")
+    scene, kind, engine = read_model_folder(folder)
     result = read_result(folder)
     require_completed([result])
-    model = plan(scene, (kind,))[kind]
-    expected: dict[str, Any] = {"model": kind, "engine": engine_name, "steps": model.n_steps, "dt": model.dt}
-    for key, value in expected.items():
-        found = getattr(result, key)
-        # another machine's logarithm may differ in the last digit of dt
-        if not (math.isclose(found, value, rel_tol=1e-12) if key == "dt" else found == value):
+    for key, found, value in (("model", result.model, kind), ("engine", result.engine, engine)):
+        if found != value:
             raise ReadError(f"{folder / RESULT}: {key} = {found}, expected {value} of this case; run it again")
-    trajectory = get_engine(engine_name).read(model, folder)
-    return RunData(
-        model=model,
-        result=result,
-        trajectory=trajectory,
-        observations=observe(model, trajectory),
-        cpu_samples=tuple(result.extra.get("cpu_samples", ())),
-    )
+    return read_run(scene, result)
 
 
-def load_both(out: Path) -> tuple[RunData, RunData]:
-    """Read the linear and the hertz run of a case's run folder."""
+def load_run(folder: Path) -> RunData:
+    """Read a run of a case without gas (see `load`)."""
+    data = load(folder)
+    if not isinstance(data, RunData):
+        raise ReadError(f"{folder}: the run of a bed, expected that of a single contact")
+    return data
+
+
+def load_bed_run(folder: Path) -> BedRunData:
+    """Read a run of a bed (see `load`)."""
+    data = load(folder)
+    if not isinstance(data, BedRunData):
+        raise ReadError(f"{folder}: the run of a single contact, expected that of a bed")
+    return data
+
+
+def load_both(out: Path) -> tuple[Any, Any]:
+    """Read the linear and the Hertz run of a case's run folder."""
     missing = [kind for kind in KINDS if not (out / kind).is_dir()]
     if missing:
         raise CaseFileError(f"{out}: no {missing[0]} run in it; expected the run folder of a case with both models")
     return load_pair(out / "linear", out / "hertz")
 
 
-def load_pair(linear: Path, hertz: Path) -> tuple[RunData, RunData]:
+def load_pair(linear: Path, hertz: Path) -> tuple[Any, Any]:
     """Read a linear and a Hertz run from two folders.
 
     Raises
     ------
     InputError
-        If one of them is of the other model.
+        If one of them is of the other model, or one is of a bed and the other is not.
     """
-    runs = load_run(linear), load_run(hertz)
+    runs = load(linear), load(hertz)
     for data, kind in zip(runs, KINDS, strict=True):
         if data.model.kind != kind:
             raise InputError(
                 f"{data.result.folder} is a {data.model.kind} run: expected the folder of the linear run, then that of "
                 "the Hertz run"
             )
+    if type(runs[0]) is not type(runs[1]):
+        raise InputError(f"{linear} and {hertz}: one is the run of a bed: expected two runs of the same case")
     return runs
+
+
+def compare_runs(linear: Any, hertz: Any) -> Comparison | BedComparison:
+    """Compare a linear with a Hertz run of the same scene, as `load_pair` returns them."""
+    if isinstance(linear, BedRunData):
+        return compare_beds(linear, hertz)
+    return compare(complete(linear), complete(hertz))
+
+
+def compare_case(out: Path, report: Path | None = None) -> tuple[Comparison | BedComparison, Path]:
+    """Compare the linear and the Hertz run in ``out``; write the report (to OUT/report), return both."""
+    comparison = compare_runs(*load_both(out))
+    return comparison, report_on(comparison, report or out / REPORT)
 
 
 def complete(data: RunData) -> RunData:
@@ -267,8 +348,37 @@ def complete(data: RunData) -> RunData:
     )
 
 
-def report_on(comparison: Comparison, folder: Path) -> Path:
+def remarks(data: RunData | BedRunData) -> tuple[str, ...]:
+    """Return what a user should know about a run that its numbers do not say: that nothing touched."""
+    if isinstance(data, BedRunData) or data.observations.contacts:
+        return ()
+    return (f"{data.model.kind}: {no_contact(data.model)}",)
+
+
+def export(data: RunData | BedRunData, *, paraview: bool = False) -> None:
+    """Write a run's numbers into its folder for other programs: tables, and frames for ParaView if asked for."""
+    from kncal.report.tables import export_paraview, export_tables
+
+    if isinstance(data, BedRunData):  # its table is there since the run
+        if paraview:
+            from kncal.record.paraview import write_paraview
+
+            write_paraview(data.series, data.result.folder / "paraview")
+        return
+    export_tables(data)
+    if paraview:
+        export_paraview(data)
+
+
+def report_on(comparison: Comparison | BedComparison, folder: Path) -> Path:
     """Write the report of a comparison, with every table that its scene allows; returns the page's path."""
+    runs = (comparison.linear, comparison.hertz)
+    models: dict[str, Any] = {r.model.kind: r.model for r in runs}
+    provenance = {r.model.kind: read_manifest(r.result.folder) for r in runs}
+    if isinstance(comparison, BedComparison):
+        from kncal.report.bed_page import write_bed_report
+
+        return write_bed_report(comparison, folder, warnings=list(warnings_of(models)), provenance=provenance)
     import pandas as pd
 
     from kncal.report.overview import error_table, kn_curves, method_table
@@ -284,8 +394,6 @@ def report_on(comparison: Comparison, folder: Path) -> Path:
         law, end, pair = scene.contact.law, scene.contact.end, pair_of(a, b)
         table = method_table(pair, v_0=v_0, e_n=e_n, law=law, end=end, options=scene.contact.method_options)
         curves = kn_curves(pair, v_0=v_0, e_n=e_n, law=law, end=end)
-    models = {"linear": comparison.linear.model, "hertz": comparison.hertz.model}
-    runs = (comparison.linear, comparison.hertz)
     return write_report(
         comparison,
         folder,
@@ -293,5 +401,5 @@ def report_on(comparison: Comparison, folder: Path) -> Path:
         kn_curves=curves,
         error_table=error_table(models),
         needs_table=decide(scene).to_frame(),
-        provenance={r.model.kind: read_manifest(r.result.folder) for r in runs},
+        provenance=provenance,
     )

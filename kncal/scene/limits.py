@@ -53,10 +53,10 @@ def require_possible_scene(model: Model) -> None:
     require_possible(_of_each_kind(model, [*_first_impacts(model), *_resting(model)]))
 
 
-def warnings_of(models: Mapping[str, Model], *, usual: bool = True) -> tuple[str, ...]:
-    """Return what is to be minded about the runs of these models, each text once, with whom it concerns.
+def warnings_of(models: Mapping[str, Model]) -> tuple[str, ...]:
+    """Return the warnings about the runs of these models, each text once, with the pairs that it is about.
 
-    ``usual``: also what nearly every damped contact has, attraction at its end.
+    Attraction at the end of a contact is none: nearly every damped contact has it.
     """
     texts: dict[str, None] = {}
     for kind, model in models.items():
@@ -66,7 +66,7 @@ def warnings_of(models: Mapping[str, Model], *, usual: bool = True) -> tuple[str
     for model in models.values():
         for which, contact in model.by_species.items():
             for code, text in contact.warnings.items():
-                if usual or code != "attraction":
+                if code != "attraction":
                     pairs.setdefault(text, {})[model.species.label(which)] = None
                     codes[text] = code
     told: dict[str, list[str]] = {}

@@ -250,7 +250,7 @@ def _checker(settings: Settings, bed: bool) -> Iterator[Callable[[Scene | BedSce
     """Give what refuses a scene that cannot run (planning, limits, rendering) and returns its models."""
     if bed:
         from kncal.engines.coupled import check_bed_ranks
-        from kncal.runs.bed_workflow import plan_checked
+        from kncal.runs.solving import plan_checked
 
         def check_bed(scene: Scene | BedScene) -> list[BedModel]:
             if not isinstance(scene, BedScene):
@@ -260,7 +260,7 @@ def _checker(settings: Settings, bed: bool) -> Iterator[Callable[[Scene | BedSce
 
         yield check_bed
         return
-    from kncal.runs.workflow import get_engine
+    from kncal.runs.solving import get_engine
     from kncal.scene.plan import plan
 
     engine: Engine = get_engine(settings.engine, ranks=settings.ranks, oversubscribe=settings.oversubscribe)

@@ -15,7 +15,6 @@ from typing import Any, Protocol
 
 from kncal import __version__
 from kncal.core.awake import awake
-from kncal.core.checks import one_of
 from kncal.core.errors import CaseFileError, InputError, KncalError, ReadError, RunError, SolverMissingError, failure_of
 from kncal.core.files import read_limited, sha256
 from kncal.core.lock import FolderInUseError
@@ -193,10 +192,7 @@ def _run(sweep: Sweep, scene: Scene | BedScene, out: Path) -> None:
     deadline = awake() + PATIENCE
     while True:
         try:
-            if isinstance(scene, BedScene):
-                _run_bed(sweep, scene, out)
-            else:
-                _run_case(sweep, scene, out)
+            _run_case(sweep, scene, out)
         except FolderInUseError:
             if awake() > deadline:
                 raise
@@ -206,31 +202,17 @@ def _run(sweep: Sweep, scene: Scene | BedScene, out: Path) -> None:
             return
 
 
-def _run_case(sweep: Sweep, scene: Scene, out: Path) -> None:
-    from kncal.runs.workflow import get_engine, run_case
+def _run_case(sweep: Sweep, scene: Scene | BedScene, out: Path) -> None:
+    from kncal.runs.solving import engine_for
+    from kncal.runs.workflow import run_case
 
     run_case(
         scene,
-        get_engine(sweep.engine, ranks=sweep.ranks, oversubscribe=sweep.oversubscribe),
+        engine_for(scene, sweep.engine, sweep.transport, ranks=sweep.ranks, oversubscribe=sweep.oversubscribe),
         out,
         sweep.models,
         timeout=sweep.timeout,
         progress_for=lambda _: _look_for_stop,
-    )
-
-
-def _run_bed(sweep: Sweep, scene: BedScene, out: Path) -> None:
-    from kncal.runs.bed_workflow import run_bed
-
-    run_bed(
-        scene,
-        out,
-        sweep.models,
-        transport=one_of("transport", sweep.transport, ("auto", "live", "restart")),
-        timeout=sweep.timeout,
-        progress_for=lambda _: _look_for_stop,
-        ranks=sweep.ranks,
-        oversubscribe=sweep.oversubscribe,
     )
 
 

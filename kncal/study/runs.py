@@ -41,7 +41,7 @@ class VariantRun:
     status : of `kncal.record.outcome.RunResult` ("completed", "failed", "timed_out" ...), or `REFUSED`
     failure, message : why it did not complete; both empty if it did
     folder : its model's run folder in the first round, for `kncal.runs.workflow.load_run` or
-        `kncal.runs.bed_workflow.load_bed_run`; None if refused
+        `kncal.runs.workflow.load_bed_run`; None if refused
     cpu_seconds : CPU time of each round that completed [s]
     wall_seconds : likewise [s]
     steps, dt : of the first round, None if there is no result [-], [s]

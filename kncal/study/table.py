@@ -116,7 +116,7 @@ def _bed_numbers(out: Path, rows: Mapping[str, Row]) -> None:
     from kncal.observe.averages import observe_bed
     from kncal.observe.bed_compare import compare_beds
     from kncal.observe.quantities import quantities
-    from kncal.runs.bed_workflow import load_bed_run
+    from kncal.runs.workflow import load_bed_run
 
     runs = {kind: load_bed_run(out / kind) for kind in rows}
     if len(runs) == 2:

@@ -20,7 +20,8 @@ from pathlib import Path
 from kncal.engines.base import run_result
 from kncal.observe.compare import compare
 from kncal.runs.folder import write_result
-from kncal.runs.workflow import get_engine, load_both, run_case
+from kncal.runs.solving import get_engine
+from kncal.runs.workflow import load_both, run_case
 from kncal.scene.case_file import load_case
 from kncal.scene.plan import plan
 from kncal.study import Settings, ThreadExecutor, combine, design, grid_axis, run_sweep, sweep_status

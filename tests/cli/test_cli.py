@@ -308,7 +308,7 @@ def test_a_second_run_is_not_made_or_moves_the_first_aside(capsys, tmp_path):
     assert "linear not run again: it is complete, with the same input" in err
     assert not (tmp_path / "attempt-1").exists()
     for _ in range(2):
-        code, *_ = kncal(capsys, *arguments, "--anew")
+        code, *_ = kncal(capsys, *arguments, "--rerun")
         assert code == 0
     assert (tmp_path / "attempt-1" / "linear" / "result.json").is_file()
     assert (tmp_path / "attempt-2" / "linear" / "result.json").is_file()

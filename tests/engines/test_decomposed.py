@@ -17,14 +17,15 @@ from kncal.core.checks import Array
 from kncal.core.errors import InputError
 from kncal.core.shipped import folder as shipped_folder
 from kncal.core.stopping import stoppable
+from kncal.engines.coupled import Coupled
 from kncal.engines.dpmfoam.case import write_case
 from kncal.engines.dpmfoam.decomposed import TOLERANCE, divisions
 from kncal.engines.dpmfoam.grid import Grid
 from kncal.engines.dpmfoam.restart import RestartGas
 from kncal.record.openfoam import read_cells, write_parcel_constants, write_parcel_motion
 from kncal.record.series import read_series
-from kncal.runs.bed_workflow import run_bed
 from kncal.runs.folder import read_manifest
+from kncal.runs.workflow import run_case
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import load_case
 
@@ -150,7 +151,7 @@ def test_a_frozen_bed_runs_on_two_ranks_from_its_case_to_its_series(tmp_path: Pa
     series = []
     for ranks in (1, 2):
         out = tmp_path / str(ranks)
-        results = run_bed(scene, out, ("linear",), transport="restart", ranks=ranks, oversubscribe=True)
+        results = run_case(scene, Coupled("restart", ranks=ranks, oversubscribe=True), out, ("linear",))
         assert results["linear"].status == "completed", results
         assert read_manifest(out / "linear")["ranks"] == ranks
         series.append(read_series(out / "linear" / "series"))

@@ -18,8 +18,8 @@ from kncal.engines.liggghts.batch import Liggghts
 from kncal.physics.material import Material
 from kncal.physics.timestep import predict_error, verlet_limit
 from kncal.record.frames import Trajectory
-from kncal.runs.bed_workflow import plan_checked
-from kncal.runs.workflow import get_engine, load_run, run_case
+from kncal.runs.solving import get_engine, plan_checked
+from kncal.runs.workflow import load_run, run_case
 from kncal.scene.bed_limits import check_bed
 from kncal.scene.bed_planning import plan_bed
 from kncal.scene.case_file import load_case, parse_case

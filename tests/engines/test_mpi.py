@@ -28,7 +28,8 @@ from kncal.engines.coupled import Coupled, check_bed_ranks
 from kncal.engines.liggghts.batch import Liggghts
 from kncal.record.frames import Trajectory
 from kncal.runs.folder import read_manifest
-from kncal.runs.workflow import get_engine, run_case
+from kncal.runs.solving import get_engine
+from kncal.runs.workflow import run_case
 from kncal.scene.case_file import load_case
 from kncal.scene.model import Model
 from kncal.scene.scene import Particle, Scene, Wall

@@ -5,7 +5,7 @@ import pytest
 
 from kncal.observe.contacts import observe
 from kncal.physics.material import Material
-from kncal.runs.workflow import get_engine
+from kncal.runs.solving import get_engine
 from kncal.scene.plan import plan
 from kncal.scene.scene import ContactChoice, Particle, RunControl, Scene, Wall
 

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from kncal.observe.softness import secant, signs, sound_speed
 from kncal.physics.impact import dimensionless_impact
-from kncal.runs.workflow import get_engine, load_run, run_case
+from kncal.runs.solving import get_engine
+from kncal.runs.workflow import load_run, run_case
 from kncal.scene.bed_planning import plan_bed
 from kncal.scene.case_file import load_scene
 from kncal.scene.load import bottom_overlaps

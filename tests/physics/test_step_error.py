@@ -15,7 +15,7 @@ from kncal.cli import main
 from kncal.core.errors import CaseFileError
 from kncal.observe.contacts import observe
 from kncal.physics.timestep import instead_of_zero, predict_error, restitution_error
-from kncal.runs.workflow import get_engine
+from kncal.runs.solving import get_engine
 from kncal.scene.bed_case_file import load_bed
 from kncal.scene.bed_limits import check_bed
 from kncal.scene.bed_planning import plan_bed

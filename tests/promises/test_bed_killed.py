@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 
 from kncal.engines.checkpoint import last_checkpoint
+from kncal.engines.coupled import Coupled
 from kncal.engines.dpmfoam.adapter_build import find
 from kncal.record.series import read_series
-from kncal.runs.bed_workflow import run_bed
 from kncal.runs.states import run_state
+from kncal.runs.workflow import run_case
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import dump_case, load_case
 
@@ -28,11 +29,12 @@ PROGRAM = """
 import sys
 from pathlib import Path
 import kncal.engines.loop
-from kncal.runs.bed_workflow import run_bed
+from kncal.engines.coupled import Coupled
+from kncal.runs.workflow import run_case
 from kncal.scene.case_file import load_case
 
 kncal.engines.loop.CHECKPOINT_SECONDS = 0.1
-run_bed(load_case(sys.argv[1]), Path(sys.argv[2]), ("linear",), transport=sys.argv[3])
+run_case(load_case(sys.argv[1]), Coupled(sys.argv[3]), Path(sys.argv[2]), ("linear",))
 """
 NUMBERS = ("t", "p_in", "drag_z", "floor", "z_mean", "kinetic_energy", "overlap_max", "momentum_z")
 
@@ -48,7 +50,7 @@ def bed() -> BedScene:
 def undisturbed(tmp_path_factory):
     """The series of a run that nothing happens to."""
     out = tmp_path_factory.mktemp("undisturbed") / "run"
-    assert run_bed(bed(), out, ("linear",))["linear"].status == "completed"
+    assert run_case(bed(), Coupled(), out, ("linear",))["linear"].status == "completed"
     return read_series(out / "linear" / "series")
 
 
@@ -74,9 +76,9 @@ def test_a_run_killed_at_a_random_coupling_resumes(undisturbed, tmp_path: Path, 
 
     scene = replace(bed(), name=load_case(str(case)).name)
     said: list[str] = []
-    results = run_bed(scene, out, ("linear",), transport=transport, tell=said.append)
+    results = run_case(scene, Coupled(transport), out, ("linear",), tell=said.append)
     assert results["linear"].status == "completed"
-    assert "goes on: it never came to its end" in said[0]
+    assert "resumes: it never came to its end" in said[0]
     series = read_series(out / "linear" / "series")
     np.testing.assert_array_equal(series.coupling, undisturbed.coupling)
     for name in NUMBERS:
@@ -113,7 +115,7 @@ def test_ctrl_c_loses_no_coupling(undisturbed, tmp_path: Path) -> None:
     assert len(read_series(out / "linear" / "series").t) == stopped
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert f"goes on: it ended as interrupted; from coupling {stopped} of" in done.stderr
+    assert f"resumes: it ended as interrupted; from coupling {stopped} of" in done.stderr
     series = read_series(out / "linear" / "series")
     np.testing.assert_array_equal(series.coupling, undisturbed.coupling)
     np.testing.assert_allclose(series.z_mean, undisturbed.z_mean, rtol=1e-6)

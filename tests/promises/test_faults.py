@@ -20,7 +20,8 @@ from kncal.core.lock import LOCK, locked, sign
 from kncal.core.process import run_process
 from kncal.engines.liggghts.batch import Liggghts, _version
 from kncal.runs.folder import write_result
-from kncal.runs.workflow import get_engine, load_run, render_case, run_case
+from kncal.runs.solving import get_engine
+from kncal.runs.workflow import load_run, render_case, run_case
 from kncal.scene.case_file import load_case
 from kncal.scene.exact import solve
 from kncal.scene.plan import plan

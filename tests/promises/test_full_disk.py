@@ -15,10 +15,11 @@ import pytest
 from kncal.core.disk import ROOM, is_full
 from kncal.core.errors import KncalError, RunError, failure_of
 from kncal.core.process import ProcessResult
+from kncal.engines.coupled import Coupled
 from kncal.engines.dpmfoam.adapter_build import find
 from kncal.engines.liggghts.diagnose import diagnose_liggghts
-from kncal.runs.bed_workflow import run_bed
 from kncal.runs.states import run_state
+from kncal.runs.workflow import run_case
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import load_case
 from kncal.study.states import sweep_status
@@ -113,10 +114,10 @@ def test_a_bed(disk: Disk, transport: str, room: int) -> None:
         pytest.skip("the adapter is not built")
     disk.leave(room)
     out = disk.folder / "out"
-    options = {"transport": "restart" if transport == "none" else transport}
+    engine = Coupled("restart" if transport == "none" else transport)
     scene = bed(gas=transport != "none")
     try:
-        result = run_bed(scene, out, ("linear",), **options)["linear"]
+        result = run_case(scene, engine, out, ("linear",))["linear"]
         failure = result.failure
     except (KncalError, OSError) as error:
         failure = failure_of(error)
@@ -126,7 +127,7 @@ def test_a_bed(disk: Disk, transport: str, room: int) -> None:
         state = run_state(out / "linear")
         assert (state.status, state.failure) == ("failed", "disk-full"), state
     if transport == "none":  # the quickest
-        assert run_bed(scene, out, ("linear",), **options)["linear"].status == "completed"
+        assert run_case(scene, engine, out, ("linear",))["linear"].status == "completed"
 
 
 def test_a_sweep(here: Callable, disk: Disk) -> None:

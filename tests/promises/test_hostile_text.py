@@ -26,7 +26,8 @@ from kncal.engines.liggghts.bed_deck import deck_text
 from kncal.engines.loop import gas_setup
 from kncal.record.openfoam import refuse_code
 from kncal.runs.folder import refuse_links
-from kncal.runs.workflow import get_engine, render_case, run_case
+from kncal.runs.solving import get_engine
+from kncal.runs.workflow import render_case, run_case
 from kncal.scene.bed_planning import plan_bed
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import load_case, parse_case, shipped_cases

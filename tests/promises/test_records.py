@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from kncal.core.errors import ReadError
-from kncal.runs.workflow import get_engine, load_both, load_run, run_case
+from kncal.runs.solving import get_engine
+from kncal.runs.workflow import load_both, load_run, run_case
 
 
 def test_changed_frames_are_noticed(done: Path) -> None:

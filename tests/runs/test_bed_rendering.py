@@ -13,11 +13,11 @@ import pytest
 
 from kncal.cli import main
 from kncal.core.errors import RenderError
+from kncal.engines.coupled import Coupled
 from kncal.engines.dpmfoam.adapter_build import find
 from kncal.record.openfoam import read_cells
 from kncal.record.series import UNITS, read_series
-from kncal.runs.bed_rendering import render_bed
-from kncal.runs.bed_workflow import run_bed
+from kncal.runs.workflow import render_case, run_case
 from kncal.scene.bed_planning import plan_bed
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import load_case
@@ -89,12 +89,12 @@ def test_a_rendered_bed_runs_by_hand(capsys, tmp_path):
 @pytest.mark.solver
 def test_rendered_input_is_what_a_run_runs_and_a_folder_may_have_spaces(tmp_path):
     """Same deck, same dictionaries; and to the last bit the same numbers in a folder that OpenFOAM refuses by name."""
-    render_bed(small(), tmp_path / "decks", ("linear",))
+    render_case(small(), Coupled(), tmp_path / "decks", ("linear",))
     transports = ("restart",) if find() is None else ("restart", "live")
     series = []
     for transport in transports:
         for name in (f"plain-{transport}", f"it's a {transport} run"):
-            results = run_bed(small(), tmp_path / name, ("linear",), transport=transport)
+            results = run_case(small(), Coupled(transport), tmp_path / name, ("linear",))
             assert [r.status for r in results.values()] == ["completed"], results
             series.append(read_series(tmp_path / name / "linear" / "series"))
             one, two = tmp_path / "decks" / "linear", tmp_path / name / "linear"
@@ -142,7 +142,7 @@ def test_compare_for_paraview_and_for_machines(capsys, tmp_path):
 def test_render_leaves_a_foreign_folder_alone(tmp_path):
     (tmp_path / "thesis.tex").write_text("precious")
     with pytest.raises(RenderError, match="nothing was changed"):
-        render_bed(small(), tmp_path)
+        render_case(small(), Coupled(), tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
@@ -187,7 +187,7 @@ def test_kn_of_a_bed_with_a_prescribed_stiffness_says_so(capsys):
 _BAR = """
 import time
 from kncal.cli import show
-with show.time_bars({"linear": 0.5, "hertz": 0.25}) as progress_for:
+with show.run_bars({"linear": 0.5, "hertz": 0.25}) as progress_for:
     for kind, couplings in (("linear", 4), ("hertz", 8)):
         advance = progress_for(kind)
         for done in range(1, couplings + 1):
@@ -232,14 +232,14 @@ _SLOW = """
 import time
 from kncal.cli import show
 show.MINUTE = 0.4
-with show.time_bars({"linear": 0.5}) as progress_for:
+with show.run_bars({"linear": 0.5}) as progress_for:
     time.sleep(0.6)
     for kind, first, steps in (("packing", 0, 100), ("linear", 10, 20)):
         advance = progress_for(kind)
         for done in range(first + 1, steps + 1):
             time.sleep(0.9 / (steps - first))
             advance(done, steps)
-with show.progress_bars() as progress_for:
+with show.run_bars({}) as progress_for:
     advance = progress_for("hertz")
     advance(1, 4)
     time.sleep(0.6)

@@ -20,7 +20,8 @@ from kncal.engines.checkpoint import last_checkpoint
 from kncal.engines.coupled import Coupled
 from kncal.engines.dpmfoam.adapter_build import find
 from kncal.record.series import BedSeries, read_series
-from kncal.runs.bed_workflow import load_bed_run, plan_checked, run_bed
+from kncal.runs.solving import plan_checked
+from kncal.runs.workflow import load_bed_run, run_case
 from kncal.scene.bed_planning import plan_bed
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import dump_case, load_case
@@ -47,7 +48,7 @@ def numbers(series: BedSeries) -> np.ndarray:
 def whole(tmp_path_factory):
     """Both models of a short bed by the restart transport."""
     out = tmp_path_factory.mktemp("bed") / "run"
-    results = run_bed(mini(0.01), out, transport="restart")
+    results = run_case(mini(0.01), Coupled("restart"), out)
     assert [r.status for r in results.values()] == ["completed", "completed"], results
     return out
 
@@ -71,7 +72,7 @@ def test_both_models_start_from_the_same_packing(whole):
 def test_transports_give_the_same_numbers(whole, tmp_path):
     if find() is None:
         pytest.skip("the adapter of the live transport is not built: kncal adapter build")
-    run_bed(mini(0.01), tmp_path / "live", ("linear",), transport="live")
+    run_case(mini(0.01), Coupled("live"), tmp_path / "live", ("linear",))
     live, restart = (read_series(folder / "linear" / "series") for folder in (tmp_path / "live", whole))
     assert np.array_equal(numbers(live), numbers(restart))
 
@@ -80,15 +81,15 @@ def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(whole, tmp_path, m
     # A checkpoint after every coupling, then a stop: what comes after must be what an undisturbed run gives.
     monkeypatch.setattr("kncal.engines.loop.CHECKPOINT_SECONDS", 0.0)
     scene, out = mini(0.01), tmp_path / "stopped"
-    results = run_bed(scene, out, ("linear",), transport="restart", timeout=1.5)
+    results = run_case(scene, Coupled("restart"), out, ("linear",), timeout=1.5)
     assert results["linear"].status == "timed_out"
     stopped = len(read_series(out / "linear" / "series").t)
     assert 0 < stopped < plan_bed(scene)["linear"].couplings
     monkeypatch.setattr("kncal.engines.loop.CHECKPOINT_SECONDS", 1e9)
     said: list[str] = []
-    results = run_bed(scene, out, ("linear",), transport="restart", tell=said.append)
+    results = run_case(scene, Coupled("restart"), out, ("linear",), tell=said.append)
     assert results["linear"].status == "completed"
-    assert f"goes on: it ended as timed out; from coupling {stopped} of" in said[0]
+    assert f"resumes: it ended as timed out; from coupling {stopped} of" in said[0]
     assert results["linear"].extra["couplings"] == plan_bed(scene)["linear"].couplings  # of both parts, as the cost is
     one, two = (numbers(read_series(folder / "linear" / "series")) for folder in (out, whole))
     # Saving sums forces in another order, a relative 1e-16 per step, which contacts amplify.
@@ -101,11 +102,11 @@ def test_a_completed_bed_is_not_run_again_and_another_case_is_not_mixed_with_it(
     out = tmp_path / "copy"
     shutil.copytree(whole, out)
     said: list[str] = []
-    first = run_bed(mini(0.01), out, transport="restart", tell=said.append)
+    first = run_case(mini(0.01), Coupled("restart"), out, tell=said.append)
     assert [text.split(":")[0] for text in said] == ["linear not run again", "hertz not run again"]
     assert [r.status for r in first.values()] == ["completed", "completed"]
     assert not (out / "attempt-1").exists()
-    run_bed(mini(0.0015), out, ("linear",), transport="restart")
+    run_case(mini(0.0015), Coupled("restart"), out, ("linear",))
     assert len(read_series(out / "attempt-1" / "linear" / "series").t) > len(read_series(out / "linear" / "series").t)
     assert not (out / "hertz").exists()
 
@@ -116,8 +117,8 @@ def test_a_completed_bed_whose_series_was_damaged_runs_anew(whole, tmp_path):
     piece = next((out / "linear" / "series").glob("piece-*.npz"))
     piece.write_bytes(piece.read_bytes()[:-10])
     said: list[str] = []
-    run_bed(mini(0.01), out, ("linear",), transport="restart", tell=said.append)
-    assert said[0].startswith("linear runs anew")
+    run_case(mini(0.01), Coupled("restart"), out, ("linear",), tell=said.append)
+    assert said[0].startswith("linear runs again")
     assert "changed since the run ended" in said[0]
     assert np.array_equal(
         numbers(read_series(out / "linear" / "series")), numbers(read_series(whole / "linear" / "series"))
@@ -127,22 +128,22 @@ def test_a_completed_bed_whose_series_was_damaged_runs_anew(whole, tmp_path):
 @pytest.mark.parametrize("damage", ["gas/p", "particles/particles.restart", "checkpoint.json"])
 def test_a_checkpoint_that_a_power_cut_left_in_pieces_is_not_gone_on_with(tmp_path, damage):
     scene, out = mini(0.01), tmp_path / "run"
-    assert run_bed(scene, out, ("linear",), transport="restart", timeout=0.5)["linear"].status == "timed_out"
+    assert run_case(scene, Coupled("restart"), out, ("linear",), timeout=0.5)["linear"].status == "timed_out"
     checkpoint = last_checkpoint(out / "linear")
     assert checkpoint is not None
     assert checkpoint.cost["couplings"] == checkpoint.coupling
     (checkpoint.path / damage).write_bytes(b"")
     assert last_checkpoint(out / "linear") is None
     said: list[str] = []
-    result = run_bed(scene, out, ("linear",), transport="auto", tell=said.append)["linear"]
+    result = run_case(scene, Coupled("auto"), out, ("linear",), tell=said.append)["linear"]
     assert result.status == "completed"
-    assert said[0].startswith("linear runs anew")
+    assert said[0].startswith("linear runs again")
 
 
 def test_a_checkpoint_of_a_coupling_that_was_not_computed_is_not_gone_on_with(tmp_path):
     """Its name and its record agree, its files are whole, but the series ends before it."""
     scene, out = mini(0.01), tmp_path / "run"
-    assert run_bed(scene, out, ("linear",), transport="restart", timeout=0.5)["linear"].status == "timed_out"
+    assert run_case(scene, Coupled("restart"), out, ("linear",), timeout=0.5)["linear"].status == "timed_out"
     checkpoint = last_checkpoint(out / "linear")
     end = plan_bed(scene, ("linear",))["linear"].couplings
     assert checkpoint is not None and checkpoint.coupling < end
@@ -150,8 +151,8 @@ def test_a_checkpoint_of_a_coupling_that_was_not_computed_is_not_gone_on_with(tm
     (checkpoint.path / "checkpoint.json").write_text(json.dumps(record | {"coupling": end}))
     checkpoint.path.rename(out / "linear" / f"checkpoint-{end}")
     said: list[str] = []
-    result = run_bed(scene, out, ("linear",), transport="restart", tell=said.append)["linear"]
-    assert said[0].startswith("linear runs anew")
+    result = run_case(scene, Coupled("restart"), out, ("linear",), tell=said.append)["linear"]
+    assert said[0].startswith("linear runs again")
     assert result.status == "completed"
     assert len(read_series(out / "linear" / "series").t) == end
 
@@ -171,7 +172,7 @@ def test_the_solvers_of_a_bed_own_its_folder(tmp_path, transport):
             except OSError:
                 continue  # it has ended, or is not ours
 
-    run_bed(mini(0.002), out, ("linear",), transport=transport, progress_for=lambda _: look)
+    run_case(mini(0.002), Coupled(transport), out, ("linear",), progress_for=lambda _: look)
     assert any(name.startswith("python") for name in holders)  # LIGGGHTS' library lives in one
     assert transport == "restart" or "DPMFoam" in holders  # a restarted one has ended when we look
 
@@ -182,7 +183,7 @@ def test_impossible_beds_are_refused_before_anything_is_written(tmp_path):
     with pytest.raises(CaseFileError, match="cell"):
         plan_checked(small, ("linear",))
     with pytest.raises(CaseFileError):
-        run_bed(small, tmp_path / "no", transport="restart")
+        run_case(small, Coupled("restart"), tmp_path / "no")
     assert not (tmp_path / "no").exists()
 
 
@@ -265,7 +266,7 @@ def test_gas_alone_flows_as_a_plug_and_weighs_nothing(tmp_path):
 
     scene = mini(0.004, count=0)
     scene = replace(scene, run=replace(scene.run, frames_every=0.002))
-    results = run_bed(scene, tmp_path / "run", ("linear",))
+    results = run_case(scene, Coupled(), tmp_path / "run", ("linear",))
     assert results["linear"].status == "completed"
     series = load_bed_run(tmp_path / "run" / "linear").series
     assert len(series.t_frame) == 2

@@ -28,7 +28,7 @@ SCENE = load_scene("wall_impact")
 def twice(tmp_path: Path) -> Path:
     out = tmp_path / "runs" / "impact"
     for _ in range(2):
-        run_case(SCENE, Builtin(), out, anew=True)
+        run_case(SCENE, Builtin(), out, rerun=True)
     return out
 
 
@@ -189,7 +189,7 @@ def test_what_a_user_put_into_a_run_folder_stays(worked: Path) -> None:
     clean(removals)
     assert all((worked / name / "mine.txt").is_file() for name in own)
     (worked / "thesis.txt").write_text("x")
-    run_case(SCENE, Builtin(), worked, anew=True)
+    run_case(SCENE, Builtin(), worked, rerun=True)
     assert (worked / "thesis.txt").is_file()
     assert (worked / "attempt-mine" / "mine.txt").is_file()
     (worked / "attempt-1" / "notes.txt").write_text("x")
@@ -275,4 +275,4 @@ def test_the_folder_of_many_runs_is_told_from_that_of_a_case(twice: Path, tmp_pa
     seen = kncal("status", out)
     assert f"made by kncal {command}" in seen.stdout and "2 completed" in seen.stdout
     refused = kncal("report", out)
-    assert refused.returncode == 2 and f"that of kncal {command}" in refused.stderr
+    assert refused.returncode == 2 and f"made by kncal {command}" in refused.stderr

@@ -53,7 +53,7 @@ def test_the_same_input_is_not_run_again(done: Path) -> None:
 
 def test_anew_runs_again_and_keeps_the_old(done: Path) -> None:
     before = ended(done)
-    again(done, anew=True)
+    again(done, rerun=True)
     assert set(ended(done)).isdisjoint(before)
     assert attempts(done) == ["attempt-1"]
     assert [s.status for s in case_states(done / "attempt-1")] == ["completed", "completed"]
@@ -92,7 +92,7 @@ def test_one_model_that_is_not_to_be_trusted_runs_anew_alone(done: Path, damage,
     assert ended(done)[0] == linear
     assert ended(done)[1] != hertz
     assert any("linear not run again" in text for text in said)
-    assert any(text.startswith("hertz runs anew") and words in text and "attempt-1" in text for text in said), said
+    assert any(text.startswith("hertz runs again") and words in text and "attempt-1" in text for text in said), said
     assert (done / "attempt-1" / "hertz").is_dir()
     assert not (done / "attempt-1" / "linear").exists()
     assert (done / "attempt-1" / "case.toml").is_file()

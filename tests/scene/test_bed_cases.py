@@ -13,10 +13,11 @@ from typing import Any
 import pytest
 
 from kncal.core.shipped import folder
+from kncal.engines.coupled import Coupled
 from kncal.engines.dpmfoam.adapter_build import find
 from kncal.observe.bed_compare import compare_beds
 from kncal.physics.fluidization import relaxation_time
-from kncal.runs.bed_workflow import load_bed_run, run_bed
+from kncal.runs.workflow import load_bed_run, run_case
 from kncal.scene.bed_case_file import load_bed
 from kncal.scene.bed_scene import BedScene
 
@@ -58,7 +59,7 @@ def test_terminal_velocity(name: str, end_time: float, coupling: float, tmp_path
         pytest.skip("too slow by restarts; the adapter of the live transport is not built: kncal adapter build")
     case = load_bed(name)
     scene = replace(case, run=replace(case.run, end_time=end_time, coupling=coupling))
-    results = run_bed(scene, tmp_path / "run", ("linear",))
+    results = run_case(scene, Coupled(), tmp_path / "run", ("linear",))
     assert results["linear"].status == "completed", results
     data = load_bed_run(tmp_path / "run" / "linear")
     found = compare_beds(data, data, {})  # one run is enough: there is no contact
@@ -109,7 +110,7 @@ def test_packed_bed(tmp_path: Path) -> None:
         run=replace(case.run, end_time=0.0295, frames_every=1e-3),
     )
     out = tmp_path / "run"
-    results = run_bed(scene, out)
+    results = run_case(scene, Coupled(), out)
     assert [r.status for r in results.values()] == ["completed", "completed"], results
     found = compare_beds(load_bed_run(out / "linear"), load_bed_run(out / "hertz"))
     reference = expected("packed_bed", "ergun_ratio")

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kncal.runs.bed_workflow import load_bed_run
-from kncal.runs.workflow import load_run
+from kncal.runs.workflow import load_bed_run, load_run
 from kncal.scene.bed_needs import decide as decide_bed
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import dump_case, load_case, load_scene, shipped_cases

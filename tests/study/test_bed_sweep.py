@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from kncal.core.errors import CaseFileError
-from kncal.runs.bed_workflow import load_bed_run
+from kncal.runs.workflow import load_bed_run
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import dump_case, load_case
 from kncal.study import Settings, ThreadExecutor, combine, design, grid_axis, read_sweep, run_sweep, sweep_status

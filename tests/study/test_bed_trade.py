@@ -13,7 +13,7 @@ from compared_beds import SCENE, run_data
 
 from kncal.engines.loop import REACTION_LIMIT
 from kncal.observe.bed_compare import compare_beds, observed
-from kncal.runs.bed_workflow import load_bed_run
+from kncal.runs.workflow import load_bed_run
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import dump_case, load_case
 from kncal.scene.load import bottom_overlaps

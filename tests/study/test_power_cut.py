@@ -26,7 +26,7 @@ IDS = 6
 #: Starts the command line in a fresh process for each line of input: forked, since importing all takes a second.
 SERVER = """
 import json, os, sys
-import kncal.runs.bed_workflow, kncal.cli, kncal.observe.compare, kncal.study, pandas, scipy.stats
+import kncal.runs.workflow, kncal.cli, kncal.observe.compare, kncal.study, pandas, scipy.stats
 from kncal.scene.case_file import load_case
 from kncal.scene.plan import plan
 plan(load_case("wall_impact"))  # fills the tables of impacts

@@ -8,7 +8,8 @@ import pytest
 from kncal.core.errors import InputError
 from kncal.observe.compare import PREDICTION_MARGIN
 from kncal.physics.impact import dimensionless_impact
-from kncal.runs.workflow import get_engine, load_run, run_case
+from kncal.runs.solving import get_engine
+from kncal.runs.workflow import load_run, run_case
 from kncal.scene.case_file import load_scene
 from kncal.scene.plan import plan
 from kncal.study.trade.base import TradeOptions

@@ -23,7 +23,7 @@ from kncal.core.records import Record, is_record, read_record
 from kncal.engines.coupled import Coupled
 from kncal.physics.fluidization import relaxation_time
 from kncal.record.series import BedSeries, read_series
-from kncal.runs.bed_workflow import start_positions
+from kncal.runs.solving import start_positions
 from kncal.runs.workflow import require_completed
 from kncal.scene.bed_limits import EPS_SETTLED, check_bed, largest_superficial, settled_height
 from kncal.scene.bed_planning import plan_bed

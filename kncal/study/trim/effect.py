@@ -15,8 +15,7 @@ from kncal.observe.compare import RunData
 from kncal.observe.cost import CPU_MEASURABLE, CPU_TRUSTED
 from kncal.observe.difference import Difference, Side, difference, metric_names, path_difference
 from kncal.observe.truth import predicted_errors
-from kncal.runs.bed_workflow import load_bed_run
-from kncal.runs.workflow import load_run
+from kncal.runs.workflow import load_bed_run, load_run
 from kncal.scene.metrics import metric_unit
 from kncal.study import VariantRun
 from kncal.study.trim.base import OFF, CostChange, Effect, Part
