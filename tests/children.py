@@ -18,7 +18,8 @@ from pathlib import Path
 import kncal.scene.case_file, kncal.scene.plan, kncal.record.series, kncal.runs.folder
 from kncal.scene.bed_planning import plan_bed
 from kncal.scene.bed_case_file import parse_bed
-import kncal.record.liggghts_dump, kncal.record.liggghts_log, kncal.record.openfoam, kncal.record.vtk, kncal.core.arrays
+import kncal.record.liggghts_dump, kncal.record.liggghts_log, kncal.record.openfoam
+import kncal.scene.meshes, kncal.core.arrays
 from kncal.core.errors import KncalError
 used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
 resource.setrlimit(resource.RLIMIT_AS, (used + {memory},) * 2)

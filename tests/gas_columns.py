@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import shutil
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import pyvista
 
 from kncal.core.checks import Array
 from kncal.engines.coupling import GasSetup
@@ -55,3 +57,12 @@ def alike(x: Array) -> tuple[Array, Array]:
 def weight(x: Array) -> float:
     """Weight of equal particles [N]."""
     return len(x) * RHO * VOLUME * G
+
+
+def read_case(case: Path) -> pyvista.MultiBlock:
+    """Mesh, fields, patches and parcels of the last written time, as ParaView reads them."""
+    reader = pyvista.OpenFOAMReader(str(case / "system" / "controlDict"))
+    reader.enable_all_patch_arrays()
+    reader.reader.EnableAllLagrangianArrays()
+    reader.set_active_time_value(max(reader.time_values))
+    return reader.read()

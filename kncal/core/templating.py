@@ -12,8 +12,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import resource
-import subprocess
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -24,17 +22,16 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from kncal.core.awake import run_within
 from kncal.core.checks import NAME_PATTERN, as_floats, one_of
+from kncal.core.child import ChildError, answer, ask
 from kncal.core.errors import InputError, ReadError, RenderError
-from kncal.core.files import decode_line, read_limited
+from kncal.core.files import read_limited
 from kncal.core.shipped import folder as shipped_folder
 
 #: Of templates from elsewhere: largest one, most in a folder, largest text rendered [bytes].
 MOST_BYTES, MOST_FILES, MOST_TEXT = 1024**2, 100, 64 * 1024**2
 #: What rendering one of them may take: time [s], memory beyond what Python has taken already [bytes].
 SECONDS, MEMORY = 10, 1024**3
-_DONE, _REFUSED = 0, 9
 
 #: Relative name -> text of the templates from elsewhere in force: read once, so what is named is what is rendered.
 _FOREIGN: ContextVar[Mapping[str, str]] = ContextVar("kncal_foreign_templates", default={})  # noqa: B039 - never changed
@@ -219,22 +216,11 @@ def _render_apart(
 ) -> str:
     """Fill ``template`` in a child process with limits."""
     where = f"template {template} of --trust-templates"
-    asked = [str(folder), foreign, template, plain(context, template), html, SECONDS]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(entry for entry in sys.path if entry)}
+    asked = json.dumps([str(folder), foreign, template, plain(context, template), html, SECONDS])
     try:
-        command = (sys.executable, "-P", "-m", "kncal.core.templating")
-        done = run_within(6 * SECONDS, command, input=json.dumps(asked).encode(), env=environment)
-    except subprocess.TimeoutExpired as error:
-        raise RenderError(f"{where}: not rendered within {6 * SECONDS} s") from error
-    if done.returncode == _DONE:
-        return str(done.stdout, "utf-8")
-    lines = [text for line in done.stderr[-8192:].splitlines() if (text := decode_line(line).strip())]
-    if done.returncode == _REFUSED and lines:
-        raise RenderError(f"{where}: {lines[-1]}")
-    raise RenderError(
-        f"{where}: rendering was stopped (exit code {done.returncode}): expected it to take at most {SECONDS} s of "
-        f"processor time and {MEMORY // 1024**2} MiB"
-    )
+        return str(ask("kncal.core.templating", given=asked.encode(), seconds=6 * SECONDS), "utf-8")
+    except ChildError as error:
+        raise RenderError(f"{where}: {error}") from error
 
 
 def plain(value: object, where: str) -> Any:
@@ -260,33 +246,16 @@ def plain(value: object, where: str) -> Any:
     raise RenderError(f"template {where}: a {type(value).__name__} cannot be given to a template from elsewhere")
 
 
-def main() -> int:
-    """Render what standard input asks for to standard output; exit code 9 and a line of text if it cannot be."""
-    folder, foreign, template, context, html, seconds = json.load(sys.stdin)
-    used = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
-    for what, most in (
-        (resource.RLIMIT_AS, used + MEMORY),
-        (resource.RLIMIT_CPU, seconds + int(sum(os.times()[:2]))),
-        (resource.RLIMIT_CORE, 0),
-    ):
-        _, hard = resource.getrlimit(what)
-        resource.setrlimit(what, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
-    try:
-        text = str(_environment(Path(folder), foreign, html=html).get_template(template).render(context))
-        data = text.encode("utf-8" if html else "ascii")
-        if len(data) > MOST_TEXT:
-            raise RenderError(f"{len(data)} bytes of text, expected at most {MOST_TEXT}")
-    except UnicodeEncodeError:
-        print("its text is not ASCII, as solvers need it", file=sys.stderr)
-        return _REFUSED
-    # a template may raise anything; whatever it is, it is the template's fault and said so
-    except Exception as error:
-        line = f" (line {error.lineno})" if hasattr(error, "lineno") else ""
-        print(f"\n{type(error).__name__}: {' '.join(str(error).split())[:500]}{line}", file=sys.stderr)
-        return _REFUSED
-    sys.stdout.buffer.write(data)
-    return _DONE
+def _filled(folder: str, foreign: Mapping[str, str], template: str, context: Mapping[str, Any], html: bool) -> bytes:
+    """Fill a template in the child."""
+    text = str(_environment(Path(folder), foreign, html=html).get_template(template).render(context))
+    if len(text) > MOST_TEXT:
+        raise RenderError(f"{len(text)} characters, expected at most {MOST_TEXT}")
+    if not (html or text.isascii()):
+        raise RenderError("its text is not ASCII, as solvers need it")
+    return text.encode("utf-8")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    *_asked, _seconds = json.load(sys.stdin)
+    answer(lambda: _filled(*_asked), MEMORY, _seconds)

@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 from kncal.core.checks import Array
 from kncal.core.errors import InputError, ReadError
 from kncal.core.files import decode_line, open_limited, read_limited
-from kncal.record.probe import probe
 
 #: Folder of the parcels inside a time folder.
 CLOUD = Path("lagrangian/kinematicCloud")
@@ -244,61 +243,6 @@ def fatal_error(log: Path) -> str:
     return next((line.strip() for line in lines if "sigFpe" in line), "")
 
 
-def read_case(case: Path, time: float | None = None) -> Any:
-    """Read mesh, fields, patches and parcels of a case with pyvista, as users and pictures want them.
-
-    A child process reads it first (about a second): a damaged file may crash VTK.
-
-    Parameters
-    ----------
-    case : Path
-        The case folder.
-    time : float, optional
-        A written time [s]; None: the last one.
-
-    Returns
-    -------
-    pyvista.MultiBlock
-        "internalMesh", "boundary" (one block a patch), and "lagrangian" where there are parcels.
-
-    Raises
-    ------
-    ReadError
-        If there is no mesh, or no such time.
-    """
-    needed = (case / "constant" / "polyMesh" / "points", case / "system" / "controlDict")
-    if not all(path.is_file() for path in needed):
-        raise ReadError(
-            f"{case}: no mesh in constant/polyMesh, or no system/controlDict; expected a case after blockMesh"
-        )
-    if time is None:
-        probe("case", case)
-    else:
-        probe("case", case, repr(float(time)))
-    try:
-        return read_native_case(case, time)
-    except ReadError:
-        raise
-    except Exception as error:  # a foreign reader raises anything
-        raise ReadError(f"{case}: cannot be read ({error})") from error
-
-
-def read_native_case(case: Path, time: float | None) -> Any:
-    """Read a case in this process, which a damaged file may end; raises anything. For `kncal.record.probe`."""
-    import pyvista
-
-    # Any file of that folder tells the reader where the case is; this one is there already.
-    reader = pyvista.OpenFOAMReader(str(case / "system" / "controlDict"))
-    reader.enable_all_patch_arrays()
-    reader.reader.EnableAllLagrangianArrays()
-    times = reader.time_values
-    wanted = max(times, default=0.0) if time is None else time
-    if not any(abs(value - wanted) <= 1e-9 * max(abs(wanted), 1e-9) for value in times):
-        raise ReadError(f"{case}: no time {wanted:g} s; written times: {', '.join(f'{t:g}' for t in times) or 'none'}")
-    reader.set_active_time_value(min(times, key=lambda value: abs(value - wanted)))
-    return reader.read()
-
-
 class _Reader:
     """Walks through a dictionary of OpenFOAM whose lists are binary: what follows a list is found by counting."""
 
@@ -364,7 +308,7 @@ class _Reader:
                 raise self._cut_off()
             return np.zeros(shape, dtype), end + 1
         if not self._binary:
-            hint = "set writeFormat binary in system/controlDict, or use read_case"
+            hint = "set writeFormat binary in system/controlDict"
             raise ReadError(f"{self._path}: byte {self._at}: a list of numbers as text, expected binary; {hint}")
         start = match.end() + 1
         end = start + count * width * dtype.itemsize

@@ -1,4 +1,4 @@
-"""A bed run for other programs: numbers as CSV, particles and gas fields as one time series for ParaView."""
+"""Runs as ParaView opens them: files of every frame, and one collection with their true times."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from kncal.core.errors import InputError
-from kncal.record.series import BedSeries, write_series_csv
+from kncal.core.files import write_text
+from kncal.record.series import BedSeries
 
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["write_paraview", "write_series_csv"]
+    from kncal.record.frames import Trajectory
 
 
 def write_paraview(series: BedSeries, folder: Path) -> Path:
@@ -48,20 +49,68 @@ def write_paraview(series: BedSeries, folder: Path) -> Path:
     has_gas = len(series.eps_g) > 0
     if has_gas:
         (folder / "gas").mkdir(exist_ok=True)
-    lines = ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="0.1">', "  <Collection>"]
+    entries = []
     for frame, (time, coupling) in enumerate(zip(series.t_frame.tolist(), series.frame_coupling.tolist(), strict=True)):
         names = [f"particles/{coupling:09d}.vtp"]
         _particles(series, frame).save(folder / names[0])
         if has_gas:
             names.append(f"gas/{coupling:09d}.vti")
             _gas(series, frame).save(folder / names[1])
-        lines += [
-            f'    <DataSet timestep="{time!r}" part="{part}" file={quoteattr(name)}/>'
-            for part, name in enumerate(names)
-        ]
+        entries += [(time, part, name) for part, name in enumerate(names)]
+    return _collection(folder / "bed.pvd", entries)
+
+
+def write_particles(trajectory: Trajectory, folder: Path, every: int = 1) -> Path:
+    """Write one VTP file per frame, and a collection with the true times (frames are not evenly spaced).
+
+    Each file holds the particles as points [m] with ``id`` (from 1), ``radius`` [m], ``velocity`` [m/s],
+    ``spin`` [rad/s] and ``force`` [N].
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    folder : Path
+        Gets ``particles.pvd`` and the folder ``particles``; made if it is not there.
+    every : int
+        Write every n-th frame, beginning with the first.
+
+    Returns
+    -------
+    Path
+        The collection ``particles.pvd``: the file to open in ParaView.
+
+    Raises
+    ------
+    InputError
+        If ``every`` is below 1.
+    """
+    import pyvista
+
+    if every < 1:
+        raise InputError(f"every = {every}: expected a whole number of frames, at least 1")
+    (folder / "particles").mkdir(parents=True, exist_ok=True)
+    entries = []
+    for frame in range(0, trajectory.step.size, every):
+        points = pyvista.PolyData(np.array(trajectory.x[frame], dtype=np.float64))
+        points.point_data["id"] = np.arange(1, len(trajectory.names) + 1)
+        points.point_data["radius"] = trajectory.radius
+        points.point_data["velocity"] = trajectory.v[frame]
+        points.point_data["spin"] = trajectory.spin[frame]
+        points.point_data["force"] = trajectory.force[frame]
+        name = f"particles/{int(trajectory.step[frame]):012d}.vtp"
+        points.save(folder / name)
+        entries.append((float(trajectory.t[frame]), 0, name))
+    return _collection(folder / "particles.pvd", entries)
+
+
+def _collection(path: Path, entries: list[tuple[float, int, str]]) -> Path:
+    """Write a ParaView collection of (time [s], part, file relative to it); pyvista reads but cannot write one."""
+    lines = ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="0.1">', "  <Collection>"]
+    lines += [
+        f'    <DataSet timestep="{time!r}" part="{part}" file={quoteattr(name)}/>' for time, part, name in entries
+    ]
     lines += ["  </Collection>", "</VTKFile>", ""]
-    path = folder / "bed.pvd"
-    path.write_text("\n".join(lines), encoding="utf-8")
+    write_text(path, "\n".join(lines))
     return path
 
 

@@ -11,7 +11,7 @@ from kncal.core.files import write_csv, write_json, write_text
 from kncal.core.units import percent, quantity
 from kncal.observe.bed_compare import BedComparison
 from kncal.observe.bed_cost import BedCost
-from kncal.record.paraview import write_series_csv
+from kncal.record.series import write_series_csv
 from kncal.report.bed_figures import draw_bed_figures
 from kncal.report.page import CONTACT_ENDS, Table, page_template
 from kncal.report.rows import lines_of, names_of, with_uncertainty

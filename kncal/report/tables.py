@@ -6,7 +6,7 @@ from pathlib import Path
 
 from kncal.core.files import write_csv
 from kncal.observe.compare import RunData
-from kncal.record.vtk import write_particles
+from kncal.record.paraview import write_particles
 
 #: Frames for ParaView are thinned to about this many files.
 PARAVIEW_FRAMES = 500

@@ -15,7 +15,7 @@ from kncal.core.checks import Array
 from kncal.core.errors import ReadError, RunError, SolverMissingError
 from kncal.engines.dpmfoam.case import write_case
 from kncal.engines.dpmfoam.restart import RestartGas
-from kncal.record.openfoam import read_case, read_cells
+from kncal.record.openfoam import read_cells
 from kncal.record.steps import GasStep
 from kncal.scene.bed_scene import Jet
 
@@ -347,7 +347,7 @@ def test_a_case_runs_by_hand_and_channel_flow_is_poiseuille(tmp_path: Path) -> N
     h = 0.03 / 12
     gradient = (p[10] - p[5]) / (5 * h)
     assert gradient == pytest.approx(-12.0 * mu * U / width**2 - RHO_G * G, rel=0.01)
-    mesh = read_case(folder)["internalMesh"]
+    mesh = columns.read_case(folder)["internalMesh"]
     x = mesh.cell_centers().points
     row = np.abs(x[:, 2] - 8.5 * h) < 1e-6
     s = x[row, 0] / width

@@ -180,7 +180,7 @@ def test_devices_and_pipes_are_no_files(tmp_path: Path) -> None:
             attempt(lambda: kncal.record.liggghts_log.read_log(path))
             attempt(lambda: kncal.core.files.read_json(path))
             attempt(lambda: kncal.record.openfoam.read_field(path))
-            attempt(lambda: kncal.record.vtk.read_mesh(path))
+            attempt(lambda: kncal.scene.meshes.read_mesh(path))
             attempt(lambda: kncal.core.arrays.read_npz(path, 1 << 30))
             attempt(lambda: kncal.scene.case_file.load_case(path))
     """)

@@ -154,8 +154,3 @@ def test_the_error_of_a_log_is_found(tmp_path: Path) -> None:
     assert message.isprintable()
     log.write_text("Time = 1\n#1 Foam::sigFpe::sigHandler(int)\n")
     assert "sigFpe" in openfoam.fatal_error(log)
-
-
-def test_a_case_without_mesh_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ReadError, match="no mesh"):
-        openfoam.read_case(tmp_path)

@@ -1,4 +1,4 @@
-"""Damaged meshes: the native readers may crash, but only in the child that tries them; see `kncal.record.probe`."""
+"""Damaged meshes: the native readers may crash, but only in the child that tries them; see `kncal.core.child`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kncal.core.errors import ReadError
-from kncal.record.vtk import read_mesh
+from kncal.scene.meshes import read_mesh
 from tests.promises.fuzz.conftest import fuzzed
 from tests.promises.fuzz.test_parsers import damaged
 

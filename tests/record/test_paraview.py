@@ -11,7 +11,8 @@ import pyvista
 
 from kncal.core.errors import InputError, ReadError
 from kncal.record.frames import Trajectory
-from kncal.record.vtk import read_mesh, write_particles
+from kncal.record.paraview import write_particles
+from kncal.scene.meshes import read_mesh
 
 
 @pytest.fixture

@@ -1,0 +1,106 @@
+"""Meshes of walls, in any format that meshio or pyvista reads.
+
+``python -m kncal.scene.meshes PATH`` reads one as the parent will: a damaged file may crash these readers.
+"""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from kncal.core.child import ChildError, answer, ask
+from kncal.core.errors import ReadError
+from kncal.core.files import open_limited
+
+#: A larger mesh file is refused [bytes]; what a reader may take beyond what Python and VTK have taken already.
+MAX_BYTES, MEMORY, SECONDS = 1024**3, 4 * 1024**3, 60
+
+#: XML by their name; a file may also begin with so many blanks that its first bytes do not show it.
+_XML_SUFFIXES = (".vtp", ".vtu", ".vts", ".vtr", ".vti", ".xdmf", ".xmf", ".svg", ".xml")
+_PYVISTA_SUFFIXES = (".vtk", ".vtp", ".stl")  # meshio ends the program, or misreads the text form
+
+
+def read_mesh(path: Path) -> Any:
+    """Read a mesh or a point cloud: vtk, vtp and stl with pyvista, all else (vtu, msh, ...) with meshio.
+
+    A child process reads it first (about a second): a damaged file may crash these readers, or make them ask for
+    memory without end.
+
+    Returns
+    -------
+    pyvista.DataSet
+        With points [as in the file], cells and data arrays.
+
+    Raises
+    ------
+    ReadError
+        If the file is missing, too large, of an unknown format, damaged or without points, or if it is XML with
+        a document type (which can blow up in memory, and which no mesh needs).
+    """
+    _refuse_unsafe(path)
+    try:
+        ask("kncal.scene.meshes", str(path.absolute()), seconds=2 * SECONDS)
+        mesh = _read(path)
+    except (ChildError, MemoryError) as error:
+        raise ReadError(f"{path}: cannot be read ({error})") from error
+    if not mesh.n_points:
+        raise ReadError(f"{path}: holds no points; expected a mesh (is the file cut off?)")
+    return mesh
+
+
+def _read(path: Path) -> Any:
+    """Read a mesh in this process, which a damaged file may end; raises anything."""
+    import pyvista
+
+    if path.suffix.lower() not in _PYVISTA_SUFFIXES:
+        import meshio
+
+        mesh = pyvista.from_meshio(meshio.read(path))
+    else:
+        with warnings.catch_warnings(), pyvista.VtkErrorCatcher(raise_errors=True):
+            warnings.simplefilter("error", UserWarning)  # pyvista only warns of some damage
+            mesh = pyvista.read(path)
+    if not isinstance(mesh, pyvista.DataSet):
+        raise TypeError(f"a {type(mesh).__name__}, expected one mesh")
+    return mesh
+
+
+def _refuse_unsafe(path: Path) -> None:
+    """Refuse what is dangerous to hand to a reader: huge files, and XML that declares entities."""
+    with open_limited(path, MAX_BYTES, "a mesh file") as file:
+        try:
+            start = file.read(64)
+            if not start:
+                raise ReadError(f"{path}: the file is empty; expected a mesh")
+            is_xml = start.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<")
+            # 16- and 32-bit text would hide the words looked for, and no mesh writer uses it.
+            if start[:2] in (b"\xff\xfe", b"\xfe\xff", b"\0<") or (is_xml and b"\0" in start):
+                raise ReadError(f"{path}: 16-bit text, expected XML in UTF-8 or a binary mesh")
+            if (is_xml or path.suffix.lower() in _XML_SUFFIXES) and _holds_doctype(file, start):
+                raise ReadError(f"{path}: XML with a DOCTYPE is refused; expected a plain VTK file without one")
+        except OSError as error:
+            raise ReadError(f"{path}: cannot be read ({error.strerror}); expected a mesh file") from error
+
+
+def _holds_doctype(file: BinaryIO, start: bytes) -> bool:
+    text = start
+    while True:
+        if b"<!DOCTYPE" in text.upper():
+            return True
+        block = file.read(1 << 20)
+        if not block:
+            return False
+        text = text[-16:] + block
+
+
+def _tried(path: Path) -> bytes:
+    _read(path)
+    return b""
+
+
+if __name__ == "__main__":
+    import pyvista  # noqa: F401  before the limits: it takes much address space and is no part of the file
+
+    answer(lambda: _tried(Path(sys.argv[1])), MEMORY, SECONDS)
