@@ -18,7 +18,7 @@ TODAY = {
     ("observe.invariants", "engines.loop"),
     ("observe.softness", "study.trade.base"),
     ("scene.packing", "engines.base"),
-    ("scene.packing", "engines.liggghts.bed_deck"),
+    ("scene.packing", "engines.liggghts.deck"),
     ("scene.packing", "engines.liggghts.library"),
     ("scene.packing", "runs.resume"),
 }

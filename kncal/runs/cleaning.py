@@ -14,7 +14,7 @@ from kncal.core.lock import LOCK, locked
 from kncal.core.records import is_record
 from kncal.engines.checkpoint import CHECKPOINT, GAS, PARTICLES
 from kncal.engines.checkpoint import RECORD as CHECKPOINT_RECORD
-from kncal.engines.liggghts.bed_deck import DECK
+from kncal.engines.liggghts.deck import DECK
 from kncal.runs.folder import OURS, is_attempt, is_run_folder
 from kncal.runs.records import MANIFEST, ModelManifest
 from kncal.runs.states import find_run_folders, holder, run_state

@@ -21,7 +21,7 @@ from kncal.engines.base import Engine, Progress
 from kncal.engines.checkpoint import GAS, PARTICLES, last_checkpoint
 from kncal.engines.coupled import Coupled, check_bed_ranks
 from kncal.engines.dpmfoam.case import write_case
-from kncal.engines.liggghts.bed_deck import DATA, DECK, write_deck
+from kncal.engines.liggghts.deck import DATA, DECK, bed_deck, write_deck
 from kncal.engines.loop import gas_setup
 from kncal.observe.bed_compare import BedRunData
 from kncal.observe.compare import RunData
@@ -234,7 +234,7 @@ class Bed:
         np.save(folder / POSITIONS, self.positions, allow_pickle=False)
         if model.contacts and not model.scene.particles.frozen:
             (folder / PARTICLES).mkdir()
-            write_deck(model, folder / PARTICLES, self.positions)
+            write_deck(bed_deck(model, self.positions), folder / PARTICLES)
         if (setup := gas_setup(model)) is not None:
             write_case(setup, folder / GAS, end_time=setup.step, write_interval=1)
 
@@ -361,8 +361,8 @@ def _write_by_hand(model: BedModel, folder: Path, positions: Array, engine: Coup
     templates = shipped_folder("templates") / "bed"
     if moving:
         (folder / PARTICLES).mkdir()
-        write_deck(model, folder / PARTICLES, positions)
-        _script(folder / PARTICLES / ALLRUN, render(templates, f"{ALLRUN}.particles.j2", context))
+        steps = model.couplings * model.steps_per_coupling
+        write_deck(bed_deck(model, positions), folder / PARTICLES, steps=steps)
     if setup is not None:
         write_case(
             setup,

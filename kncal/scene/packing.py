@@ -281,9 +281,11 @@ class _Said:
 
 def _key(model: BedModel, start: Array) -> str:
     """Return a hash of all that a settled packing depends on."""
-    from kncal.engines.liggghts.bed_deck import data_text, deck_text
+    from kncal.engines.liggghts.deck import bed_deck, data_text, deck_text
 
-    inputs = [deck_text(model), data_text(model.scene, start), RESTING, PATIENCE]
+    deck = bed_deck(model, start)
+    assert deck.start is not None  # noqa: S101  # it was given
+    inputs = [deck_text(deck), data_text(deck, deck.start), RESTING, PATIENCE]
     return hashlib.sha256(json.dumps(inputs).encode()).hexdigest()
 
 

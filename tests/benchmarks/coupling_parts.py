@@ -39,8 +39,9 @@ from kncal.engines.dpmfoam.case import SOLVER, case_environment, make_mesh, writ
 from kncal.engines.dpmfoam.forces import Exchange
 from kncal.engines.dpmfoam.live import LiveGas
 from kncal.engines.liggghts import library_child as dem_child
-from kncal.engines.liggghts.bed_deck import DECK, middle, sides, write_deck
+from kncal.engines.liggghts.deck import DECK, bed_deck, write_deck
 from kncal.engines.liggghts.impacts import Before
+from kncal.engines.liggghts.library import middle, sides
 from kncal.record.openfoam import write_parcel_constants, write_parcel_motion
 from kncal.scene.bed_case_file import load_bed
 from kncal.scene.bed_model import BedModel
@@ -103,7 +104,7 @@ def dem_pair(model: BedModel, x: Array, rounds: int) -> DemPair:
     """Compare the three modes in a bed that starts at ``x``."""
     with tempfile.TemporaryDirectory() as scratch:
         folder, scene = Path(scratch), model.scene
-        write_deck(model, folder, x)
+        write_deck(bed_deck(model, x), folder)
         layer, periodic = scene.column.front_back == "layer", scene.column.front_back == "periodic"
         given = {
             "deck": DECK,

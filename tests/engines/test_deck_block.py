@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from kncal import Material, RenderError
-from kncal.engines.liggghts.deck_block import BlockType, case_block, liggghts_block
+from kncal.engines.liggghts.deck_block import case_block, liggghts_block
+from kncal.engines.liggghts.deck_tables import AtomType
 from kncal.scene.case_file import load_case
 from kncal.scene.plan import plan
 from kncal.scene.scene import ContactChoice, PairChoice, Particle, Scene, Wall
@@ -88,7 +89,7 @@ def test_rolling_friction_comes_with_its_model():
 
 
 def test_a_pair_without_numbers_is_named_and_a_contact_of_another_kind_refused():
-    types = [BlockType(name="ball", material=GLASS), BlockType(name="w", material=None, is_wall=True)]
+    types = [AtomType(name="ball", material=GLASS), AtomType(name="w", material=None, is_wall=True)]
     contacts = plan(SCENE, ["linear"])["linear"].contacts
     block = liggghts_block(types, {("ball", "w"): contacts["a", "floor"]})
     assert "ball with ball" in block
@@ -113,4 +114,4 @@ def test_a_pair_without_numbers_is_named_and_a_contact_of_another_kind_refused()
 def test_bad_numbers_never_reach_a_block(key, value):
     contact = replace(plan(SCENE, ["linear"])["linear"].contacts["a", "b"], **{key: value})
     with pytest.raises(RenderError, match=f"{key} = "):
-        liggghts_block([BlockType(name="a", material=GLASS)], {("a", "a"): contact})
+        liggghts_block([AtomType(name="a", material=GLASS)], {("a", "a"): contact})

@@ -22,7 +22,7 @@ from kncal.core.errors import CaseFileError, ReadError, RenderError
 from kncal.core.shipped import folder as shipped_folder
 from kncal.engines.dpmfoam.case import install_state, write_case
 from kncal.engines.dpmfoam.live import _FUNCTIONS
-from kncal.engines.liggghts.bed_deck import deck_text
+from kncal.engines.liggghts.deck import bed_deck, deck_text
 from kncal.engines.loop import gas_setup
 from kncal.record.openfoam import refuse_code
 from kncal.runs.folder import refuse_links
@@ -141,7 +141,7 @@ def test_what_is_rendered_for_every_shipped_case_holds_no_code(name: str, tmp_pa
     if isinstance(scene, BedScene):
         for kind, model in plan_bed(scene).items():
             if model.contacts:
-                (tmp_path / f"{kind}.in").write_text(deck_text(model))
+                (tmp_path / f"{kind}.in").write_text(deck_text(bed_deck(model)))
             if (setup := gas_setup(model)) is not None:
                 for functions in (None, _FUNCTIONS):
                     folder = tmp_path / f"{kind}-{'live' if functions else 'gas'}"

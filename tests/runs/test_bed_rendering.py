@@ -98,7 +98,7 @@ def test_rendered_input_is_what_a_run_runs_and_a_folder_may_have_spaces(tmp_path
             assert [r.status for r in results.values()] == ["completed"], results
             series.append(read_series(tmp_path / name / "linear" / "series"))
             one, two = tmp_path / "decks" / "linear", tmp_path / name / "linear"
-            for file in ("particles/bed.in", "particles/particles.data", *(f"gas/{f}" for f in GAS_FILES[:-1])):
+            for file in ("particles/in.liggghts", "particles/particles.data", *(f"gas/{f}" for f in GAS_FILES[:-1])):
                 assert (one / file).read_text() == (two / file).read_text(), file
     for other in series[1:]:
         for name in UNITS:

@@ -14,19 +14,17 @@ from kncal.core.mpi import MISSING as NO_MPIRUN
 from kncal.core.mpi import MPIRUN, check_ranks, mpi_command, mpi_environment, run_ranks
 from kncal.core.process import run_process, solver_environment
 from kncal.core.scratch import scratch
-from kncal.core.shipped import folder as shipped_folder
-from kncal.core.templating import render
 from kncal.engines.base import FRAMES, Profile, Progress, read_frames, run_result
-from kncal.engines.liggghts.deck import deck_context
+from kncal.engines.liggghts.deck import DECK, scene_deck, write_deck
 from kncal.engines.liggghts.diagnose import Diagnosis, diagnose_liggghts
 from kncal.engines.tunnelling import PASSED_THROUGH, passages
 from kncal.record.frames import Trajectory
-from kncal.record.liggghts_log import END_MARKER, step_of_line
+from kncal.record.liggghts_log import step_of_line
 from kncal.record.outcome import RunResult
 from kncal.scene.model import Model
 
 PROGRAM = "liggghts"
-DECK, SCRIPT, LOG = "in.liggghts", "Allrun", "log.liggghts"
+LOG = "log.liggghts"
 #: The version whose force laws, log and dumps kncal knows.
 VERSION = "3.8.0"
 LINEAR_STYLES = ("hooke/stiffness", "hooke")
@@ -95,13 +93,8 @@ class Liggghts:
         RenderError
             If LIGGGHTS cannot simulate the model, or would do it wrongly without a word; nothing is written.
         """
-        templates = shipped_folder("templates") / "liggghts"
-        context = deck_context(model, self.linear_style) | {"end_marker": END_MARKER}
-        context |= {"ranks": self.ranks, "oversubscribe": self._oversubscribe}
-        texts = {name: render(templates, f"{name}.j2", context) for name in (DECK, SCRIPT)}
-        for name, text in texts.items():
-            (folder / name).write_text(text, encoding="ascii")
-        (folder / SCRIPT).chmod(0o755)
+        deck = scene_deck(model, self.linear_style)
+        write_deck(deck, folder, ranks=self.ranks, oversubscribe=self._oversubscribe)
 
     def run(
         self,

@@ -1,319 +1,324 @@
-"""What a LIGGGHTS deck says, worked out from a model: atom types, properties, walls, box, recording schedule.
-Force laws as LIGGGHTS 3.8.0 codes them (delta > 0 overlap, v approach speed, b = -ln e/sqrt(pi² + ln² e)):
+"""The LIGGGHTS deck ``in.liggghts`` of any scene, and the file with its particles.
 
-``hooke/stiffness`` with ``absolute_damping``: F = kn delta + gamman_abs v.
-``hertz``: F = (4/3) Y sqrt(R) delta^1.5 + 2 sqrt(5/6) b sqrt(2 Y sqrt(R delta) m) v, the Tsuji form:
-C = c/sqrt(m k_h) = sqrt(5) b.
-``hooke``: F = kn delta + 2 b sqrt(m kn) v with kn = (16/15) sqrt(R) Y (15 m V²/(16 sqrt(R) Y))^(1/5).
+Both kinds of model fill one small description, `Deck`; one template writes it, with blocks for what is needed. The
+linear and the Hertz deck differ in the normal law, its numbers and the time step, in nothing else.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
 
-from kncal.core.errors import RenderError
-from kncal.engines.liggghts.deck_checks import (
-    check_elastic,
-    check_numbers,
-    check_start,
-    check_tangential,
-    expect,
-    expect_same,
-    require_tsuji,
-)
+import numpy as np
+from numpy.typing import NDArray
+
+from kncal.core.checks import Array
+from kncal.core.shipped import folder as shipped_folder
+from kncal.core.templating import number, render
+from kncal.engines.liggghts.deck_checks import check_bed, check_model, check_run, check_start
+from kncal.engines.liggghts.deck_tables import STYLES, AtomType, Contacts, contact_context
 from kncal.engines.liggghts.schedule import schedule
-from kncal.scene.model import Model, PairContact
+from kncal.record.liggghts_log import END_MARKER
+from kncal.scene.bed_model import BedModel
+from kncal.scene.bed_planning import PARTICLES, WALLS
+from kncal.scene.bed_scene import BedScene
+from kncal.scene.model import Model
 from kncal.scene.needs import decide
-from kncal.scene.scene import Particle, Scene, Wall
-from kncal.scene.species import SpeciesPair, SpeciesTable
+from kncal.scene.scene import Particle, Vector
 
-#: LIGGGHTS refuses a coefficientRestitution of 0.05 and below.
-LEAST_RESTITUTION = 0.05
-#: Young's modulus beyond which LIGGGHTS (units si) wants `soft_particles yes` or `hard_particles yes` [Pa].
-SOFT_LIMIT, HARD_LIMIT = 5e6, 1e9
-#: LIGGGHTS refuses a smaller characteristicVelocity [m/s].
-LEAST_VELOCITY = 1e-2
-#: A wall this much stiffer than the softest particle changes E_eff by less than rounding does.
-RIGID = 1e17
+DECK, SCRIPT, DATA, RESTART = "in.liggghts", "Allrun", "particles.data", "particles.restart"
+#: Neighbour skin in diameters: fewer rebuilds than 0.1, fewer pairs than 0.5.
+SKIN = 0.25
+#: Distance in diameters within which an opened contact is forgotten. The gap grows by v dt in a step, and with N steps
+#: per contact and overlap x d, v dt is about pi x d/N: 0.016 d for x = 0.1, N = 20.
+NEAR = 1.05
+#: Up to so many particles each is compared with each, and none are sorted: there is nothing to gain.
+FEW = 20
+#: Bins of space per particle, for neighbour lists and for sorting: LIGGGHTS takes bins of half the cutoff, and visits
+#: all of them each time. In a large column that costs more than the particles do, and ends at its limit of their
+#: number. A settled bed fills some four bins of that size with each particle.
+BINS_PER_PARTICLE = 100.0
 
-Entry = dict[str, object]
-Names = tuple[str, str]
-Numbers = Mapping[str, float]
+Side = tuple[float, float]
 
 
-def deck_context(model: Model, linear_style: str) -> dict[str, object]:
+@dataclass(frozen=True, kw_only=True)
+class DeckWall:
+    """A plane wall: ``kind`` is the index of its atom type, ``axis`` is x, y or z, ``position`` [m]."""
+
+    name: str
+    kind: int
+    axis: str
+    position: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Particles:
+    """Where particles are at the start: arrays (n, 3) in m, m/s, rad/s, and the index (n,) of each one's atom type.
+
+    ``names`` of a few that the deck itself creates; without names they are read from `DATA`.
+    """
+
+    kinds: NDArray[np.intp]
+    x: Array
+    v: Array
+    spin: Array
+    names: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Deck:
+    """What a deck says, whatever kind of scene it is of.
+
+    Attributes
+    ----------
+    scene, kind : names of the scene and of its model
+    style : LIGGGHTS' normal model, one of `STYLES`
+    types : atom types, those of particles first
+    contacts, unmet : by pairs of types (see `contact_context`)
+    tangential : whether contacts have friction and tangential springs
+    walls : the first is the one whose reaction is summed up for kncal
+    box : lower and upper end on each axis [m]; periodic : the axes that are, as "y" or "xy"
+    grows : whether the box grows with the particles, so that none can leave it
+    gravity : vector [m/s²]
+    dt : time step [s]; steps : number of steps, None: by hand as many as asked for, and kncal drives it as a library,
+        with the forces of the gas
+    thermo_every : steps between lines of the log
+    start : Particles; None: from the file `RESTART`
+    count : number of particles; skin : of neighbour lists [m]
+    bin_size : edge of the bins of neighbour lists and sorting [m], 0 for LIGGGHTS' own
+    schedule : when frames are recorded (see `kncal.engines.liggghts.schedule`); None: kncal reads the particles itself
+    """
+
+    scene: str
+    kind: str
+    style: str
+    types: Sequence[AtomType]
+    contacts: Contacts
+    unmet: Contacts = field(default_factory=dict)
+    tangential: bool = True
+    walls: Sequence[DeckWall]
+    box: tuple[Side, Side, Side]
+    periodic: str = ""
+    grows: bool = False
+    gravity: Vector
+    dt: float
+    steps: int | None = None
+    thermo_every: int = 1000
+    start: Particles | None
+    count: int
+    skin: float
+    bin_size: float = 0.0
+    schedule: Mapping[str, object] | None = None
+
+
+def scene_deck(model: Model, linear_style: str) -> Deck:
+    """Describe the deck of a model of a scene of a few bodies.
+
+    Raises
+    ------
+    RenderError
+        If LIGGGHTS would accept a number but not simulate it.
+    """
+    scene, species = model.scene, model.species
+    check_model(model)
+    check_start(scene)
+    needs, particles = decide(scene), scene.particles
+    margin = 2.0 * max(p.radius for p in particles)
+    sides = [[p.position[axis] for p in particles] for axis in range(3)]
+    x_side, y_side, z_side = ((min(side) - margin, max(side) + margin) for side in sides)
+    index = species.index
+    return Deck(
+        scene=scene.name,
+        kind=model.kind,
+        style="hertz" if model.kind == "hertz" else linear_style,
+        types=[
+            AtomType(
+                name=body.name,
+                material=body.material,
+                radius=body.radius if isinstance(body, Particle) else None,
+                is_wall=not isinstance(body, Particle),
+                bodies=tuple(alike.name for alike in bodies),
+            )
+            for bodies in species.members
+            for body in bodies[:1]
+        ],
+        contacts=model.by_species,
+        unmet=model.unmet,
+        tangential=needs.uses("tangential"),
+        walls=[DeckWall(name=w.name, kind=index[w.name], axis=w.axis, position=w.position) for w in scene.walls],
+        box=(x_side, y_side, z_side),
+        grows=True,
+        gravity=scene.gravity if needs.uses("gravity") else (0.0, 0.0, 0.0),
+        dt=model.dt,
+        steps=model.n_steps,
+        thermo_every=max(1, model.n_steps // 100),
+        start=Particles(
+            kinds=np.array([index[p.name] for p in particles]),
+            x=np.array([p.position for p in particles]),
+            v=np.array([p.velocity for p in particles]),
+            spin=np.array([p.spin for p in particles]),
+            names=tuple(p.name for p in particles),
+        ),
+        count=len(particles),
+        skin=2.0 * min(p.radius for p in particles),
+        schedule=schedule(model),
+    )
+
+
+def bed_deck(model: BedModel, positions: Array | None = None, velocities: Array | None = None) -> Deck:
+    """Describe the deck of a model of a bed, with particles at ``positions``, ``velocities`` (n, 3), or a restart.
+
+    Raises
+    ------
+    RenderError
+        If LIGGGHTS would accept a number but not simulate it.
+    """
+    scene, column, particles = model.scene, model.scene.column, model.scene.particles
+    check_bed(model)
+    d, number_of = particles.diameter, {(PARTICLES, PARTICLES): (0, 0), (PARTICLES, WALLS): (0, 1)}
+    places = [("floor", "z", 0.0), ("lid", "z", column.height), ("left", "x", 0.0), ("right", "x", column.width)]
+    places += [("front", "y", 0.0), ("back", "y", column.depth)] if column.front_back == "walls" else []
+    periodic = "y" if column.front_back == "periodic" else ""
+    x_side, y_side, z_side = (
+        (0.0, size) if axis in periodic else (-d, size + d)
+        for axis, size in zip("xyz", (column.width, column.depth, column.height), strict=True)
+    )
+    start = None
+    if positions is not None:
+        rest = np.zeros_like(positions)
+        v = rest if velocities is None else velocities
+        start = Particles(kinds=np.zeros(len(positions), dtype=np.intp), x=positions, v=v, spin=rest)
+    return Deck(
+        scene=scene.name,
+        kind=model.kind,
+        style="hertz" if model.kind == "hertz" else "hooke/stiffness",
+        types=[
+            AtomType(name=PARTICLES, material=particles.material, radius=0.5 * d),
+            AtomType(name=WALLS, material=column.wall_material, is_wall=True),
+        ],
+        contacts={number_of[names]: contact for names, contact in model.contacts.items()},
+        walls=[DeckWall(name=name, kind=1, axis=axis, position=at) for name, axis, at in places],
+        box=(x_side, y_side, z_side),
+        periodic=periodic,
+        gravity=(0.0, 0.0, -scene.gravity),
+        dt=model.dt,
+        start=start,
+        count=particles.count,
+        skin=SKIN * d,
+        bin_size=_bin_size(scene),
+    )
+
+
+def _bin_size(scene: BedScene) -> float:
+    column, particles = scene.column, scene.particles
+    own = 0.5 * (1.0 + SKIN) * particles.diameter
+    box = column.width * column.depth * column.height
+    needed = float((box / (BINS_PER_PARTICLE * max(particles.count, 1))) ** (1.0 / 3.0))
+    return needed if needed > own else 0.0
+
+
+def write_deck(deck: Deck, folder: Path, *, ranks: int = 1, oversubscribe: bool = False, steps: int = 0) -> None:
+    """Write ``in.liggghts``, ``Allrun`` and, if the deck reads it, ``particles.data`` into ``folder``, which exists.
+
+    ``ranks``, ``oversubscribe``: of ``Allrun``; ``steps``: what it runs by hand if the deck does not say how many.
+
+    Raises
+    ------
+    RenderError
+        If LIGGGHTS cannot simulate the model, or would take other numbers than the model's; nothing is written.
+    """
+    context = deck_context(deck) | {"ranks": ranks, "oversubscribe": oversubscribe, "default_steps": steps}
+    templates = shipped_folder("templates") / "liggghts"
+    texts = {name: render(templates, f"{name}.j2", context) for name in (DECK, SCRIPT)}
+    if deck.start is not None and not deck.start.names:
+        texts[DATA] = data_text(deck, deck.start)
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="ascii")
+    (folder / SCRIPT).chmod(0o755)
+
+
+def deck_text(deck: Deck) -> str:
+    """Return the deck ``in.liggghts``.
+
+    Raises
+    ------
+    RenderError
+        As `write_deck`.
+    """
+    return render(shipped_folder("templates") / "liggghts", f"{DECK}.j2", deck_context(deck))
+
+
+def deck_context(deck: Deck) -> dict[str, object]:
     """Return the values that the template ``in.liggghts.j2`` needs: plain numbers, names, lists and dicts.
 
     Raises
     ------
     RenderError
-        If LIGGGHTS would accept a number but not simulate it, or cannot simulate the model.
+        As `write_deck`.
     """
-    scene = model.scene
-    check_numbers(model)
-    check_start(scene)
-    style = "hertz" if model.kind == "hertz" else linear_style
-    ends = {contact.end for contact in model.contacts.values()}
-    if len(ends) > 1:
-        raise RenderError(
-            f"{scene.name}: contacts end at {' and '.join(sorted(ends))}: kncal writes one limitForce for "
-            "all of them; choose one contact.end"
-        )
-    needs = decide(scene)
-    tangential, rolling = needs.uses("tangential"), needs.uses("rolling")
-    selectors = f"{style} tangential {'history' if tangential else 'off'}"
-    selectors += " rolling_friction cdt" if rolling else ""
-    switches = " ".join(
-        word
-        for word, wanted in (
-            ("limitForce on", "force" in ends),
-            ("absolute_damping on", style == "hooke/stiffness"),
-            ("tangential_damping off", tangential),
-        )
-        if wanted
+    check_run(deck.scene, deck.kind, STYLES[deck.style], deck.dt, deck.steps)
+    g = math.hypot(*deck.gravity)
+    contacts = contact_context(
+        deck.scene, deck.types, deck.contacts, deck.style, unmet=deck.unmet, tangential=deck.tangential
     )
-    types = model.species
-    tables, lacking = pair_tables(model, style, tangential=tangential, rolling=rolling)
-    elastic = _elastic(scene, types) if style != "hooke/stiffness" else []
-    moduli = [value for entry in elastic if entry["name"] == "youngsModulus" for value in entry["rows"][0]]  # type: ignore[index]
-    properties = elastic + [_property(name, "peratomtypepair", rows) for name, rows in tables.items()]
-    if style == "hooke":
-        properties.append(_property("characteristicVelocity", "scalar", [[_characteristic_velocity(model)]]))
-    smallest = 2.0 * min(p.radius for p in scene.particles)
-    g = math.hypot(*scene.gravity) if needs.uses("gravity") else 0.0
-    return {
-        "scene": scene.name,
-        "kind": model.kind,
-        "soft": any(value < SOFT_LIMIT for value in moduli),
-        "hard": any(value > HARD_LIMIT for value in moduli),
-        "box": _box(scene),
-        "skin": smallest,
-        "types": [
-            {
-                "role": "particles" if isinstance(bodies[0], Particle) else "walls",
-                "bodies": [body.name for body in bodies],
-            }
-            for bodies in types.members
-        ],
-        "lacking": [[i + 1, j + 1] for i, j in lacking],
-        "properties": properties,
-        "tangential": tangential,
-        "selectors": selectors,
-        "switches": switches,
-        "walls": [_wall(wall, types) for wall in scene.walls],
-        "particles": [_particle(particle, types) for particle in scene.particles],
-        "gravity": {"size": g, "direction": [value / g for value in scene.gravity] if g else []},
-        "dt": model.dt,
-        "n_steps": model.n_steps,
-        "thermo_every": max(1, model.n_steps // 100),
-        "schedule": schedule(model),
+    start = deck.start
+    return contacts | {
+        "one_line": False,
+        "scene": deck.scene,
+        "kind": deck.kind,
+        "names": {"data": DATA, "restart": RESTART},
+        "start": "restart" if start is None else "atoms" if start.names else "data",
+        "particles": _created(deck, start) if start is not None and start.names else [],
+        "driven": deck.steps is None,
+        "box": [list(side) for side in deck.box],
+        "boundary": " ".join("p" if axis in deck.periodic else "m" if deck.grows else "f" for axis in "xyz"),
+        "skin": deck.skin,
+        "few": deck.count <= FEW or deck.grows,
+        "bin": deck.bin_size,
+        "near": NEAR,
+        "walls": [{"name": w.name, "type": w.kind + 1, "axis": w.axis, "position": w.position} for w in deck.walls],
+        "gravity": {"size": g, "direction": [value / g for value in deck.gravity] if g else []},
+        "dt": deck.dt,
+        "n_steps": deck.steps,
+        "thermo_every": deck.thermo_every,
+        "schedule": deck.schedule,
+        "end_marker": END_MARKER,
     }
 
 
-def tsuji_restitution(contact: PairContact, names: tuple[str, str]) -> float:
-    """Return the coefficientRestitution whose Tsuji damping in LIGGGHTS is exactly ``contact.c``.
-
-    C = c/sqrt(m_eff k_h) = sqrt(5) b, e = exp(-pi b/sqrt(1 - b²)): the overlap-end relation for either end.
-
-    Raises
-    ------
-    RenderError
-        If C >= sqrt(5), or e <= 0.05, which LIGGGHTS refuses.
-    """
-    return _restitution(contact, names, contact.c / math.sqrt(5.0 * contact.m_eff * contact.k))
+def _size(kind: AtomType) -> tuple[float, float]:
+    """Return the diameter [m] and density [kg/m³] of the particles of a type."""
+    assert kind.material is not None  # noqa: S101  # only walls may be rigid
+    assert kind.radius is not None  # noqa: S101
+    return 2.0 * kind.radius, float(kind.material.density)
 
 
-def spring_restitution(contact: PairContact, names: tuple[str, str]) -> float:
-    """Return the coefficientRestitution whose damping of LIGGGHTS' `hooke` is exactly ``contact.c``, 2 b sqrt(m_eff k).
-
-    Raises
-    ------
-    RenderError
-        As `tsuji_restitution`.
-    """
-    return _restitution(contact, names, contact.c / (2.0 * math.sqrt(contact.m_eff * contact.k)))
-
-
-def hooke_stiffness(contact: PairContact, velocity: float) -> float:
-    """Return the k_n that LIGGGHTS' `hooke` model finds by strain energy [N/m], at ``velocity`` [m/s]."""
-    stiff = math.sqrt(contact.R_eff) * contact.E_eff
-    return float(16.0 / 15.0 * stiff * (15.0 * contact.m_eff * velocity**2 / (16.0 * stiff)) ** 0.2)
+def _created(deck: Deck, start: Particles) -> list[dict[str, object]]:
+    created: list[dict[str, object]] = []
+    rows = zip(start.names, start.kinds.tolist(), start.x.tolist(), start.v.tolist(), start.spin.tolist(), strict=True)
+    for name, kind, x, v, spin in rows:
+        diameter, density = _size(deck.types[kind])
+        body = {"name": name, "type": kind + 1, "diameter": diameter, "density": density}
+        created.append(body | {"x": x, "v": v, "spin": spin})
+    return created
 
 
-def _restitution(contact: PairContact, names: tuple[str, str], b: float) -> float:
-    e = math.exp(-math.pi * b / math.sqrt(1.0 - b * b)) if b < 1.0 else 0.0
-    if e <= LEAST_RESTITUTION:
-        asked = f"e_n = {contact.e_n:g} with contact end {contact.end!r}"
-        raise RenderError(
-            f"pair {names[0]}, {names[1]}: {asked} needs damping that this LIGGGHTS model does not have (its "
-            f"coefficientRestitution would be {e:.4g}; it wants more than {LEAST_RESTITUTION:g}): choose a "
-            f"larger e_n, {'the hooke/stiffness style, ' if contact.law == 'linear' else ''}or run this model with the "
-            "builtin engine"
-        )
-    # The inverse of the formula that gave c: the same number but for rounding; the asked one reads better.
-    return contact.e_n if abs(e - contact.e_n) < 1e-14 else min(e, 1.0)
-
-
-def _linear_numbers(scene: Scene, names: Names, c: PairContact, V: float) -> Numbers:
-    expect(c.law == "linear" and c.n == 1.0, names, f"law {c.law!r} in a linear model", "law 'linear'")
-    return {"kn": c.k, "kt": c.k_t, "gamman_abs": c.c, "gammat_abs": 0.0}
-
-
-def _hertz_numbers(scene: Scene, names: Names, c: PairContact, V: float) -> Numbers:
-    require_tsuji(names, c)
-    check_elastic(scene, names, c)
-    k_h = 4.0 / 3.0 * c.E_eff * math.sqrt(c.R_eff)
-    expect_same(names, "k", c.k, k_h, "Hertz stiffness (4/3) E_eff sqrt(R_eff)")
-    return {"coefficientRestitution": tsuji_restitution(c, names)}
-
-
-def _hooke_numbers(scene: Scene, names: Names, c: PairContact, V: float) -> Numbers:
-    if scene.contact.method != "strain_energy":
-        raise RenderError(
-            f"{scene.name}: LIGGGHTS' hooke model finds k_n by strain energy, the case asks for "
-            f"{scene.contact.method!r}: expected contact.method = 'strain_energy', or the "
-            "hooke/stiffness style"
-        )
-    expect(c.law == "linear" and c.n == 1.0, names, f"law {c.law!r} in a linear model", "law 'linear'")
-    check_elastic(scene, names, c)
-    expect_same(names, "k", c.k, hooke_stiffness(c, V), "stiffness that LIGGGHTS' hooke model will take")
-    return {"coefficientRestitution": spring_restitution(c, names)}
-
-
-_NUMBERS: dict[str, Callable[[Scene, Names, PairContact, float], Numbers]] = {
-    "hooke/stiffness": _linear_numbers,
-    "hertz": _hertz_numbers,
-    "hooke": _hooke_numbers,
-}
-
-
-def pair_tables(
-    model: Model, style: str, *, tangential: bool, rolling: bool
-) -> tuple[dict[str, list[list[float]]], list[SpeciesPair]]:
-    """Return the table of each property by pairs of types, and the pairs of types that have no contact of their own.
-
-    Every pair that the contacts of the scene or `Model.unmet` know gets its own numbers. Two walls never touch; they
-    and the pairs that are returned (they cannot be calibrated, or LIGGGHTS cannot do them; in this scene they do not
-    meet) repeat the largest number of the others, since LIGGGHTS wants one for every pair of types.
-
-    Raises
-    ------
-    RenderError
-        If LIGGGHTS cannot simulate a contact of the scene, or two contacts of one pair of types differ.
-    """
-    types = model.species
-    V = _characteristic_velocity(model) if style == "hooke" else math.nan
-
-    def numbers(names: Names, c: PairContact) -> Numbers:
-        found = dict(_NUMBERS[style](model.scene, names, c, V))
-        if tangential:
-            check_tangential(names, c, style)
-            found["coefficientFriction"] = c.friction
-        elif "kt" in found:
-            found["kt"] = 0.0
-        if rolling:
-            found["coefficientRollingFriction"] = c.rolling_friction
-        return found
-
-    known: dict[SpeciesPair, tuple[PairContact, Numbers]] = {}
-    for names, contact in model.contacts.items():
-        which = types.pair_of(names)
-        if which not in known:
-            known[which] = contact, numbers(names, contact)
-        elif contact is not known[which][0]:
-            for name, value in numbers(names, contact).items():
-                first = known[which][1][name]
-                # the same pair the other way round may differ in the last digit
-                same = math.isclose(value, first, rel_tol=1e-14)
-                expect(same, names, f"{name} = {value!r}", f"{first!r}, as {types.label(which)} has it: bodies alike")
-    lacking = []
-    for which in types.pairs():
-        if which not in known:
-            one, other = types.bodies(which)
-            try:
-                contact = model.unmet[which]
-                known[which] = contact, numbers((one.name, other.name), contact)
-            except (KeyError, RenderError):
-                lacking.append(which)
-    expect(bool(known), model.scene.name, "no contact to take numbers from", "a second particle, a wall or contact.v_0")
-    size = len(types.members)
-    tables = {}
-    for name in next(iter(known.values()))[1]:
-        column = {which: found[name] for which, (_, found) in known.items()}
-        filler = max(column.values())
-        tables[name] = [[column.get((min(i, j), max(i, j)), filler) for j in range(size)] for i in range(size)]
-    return tables, lacking
-
-
-def _characteristic_velocity(model: Model) -> float:
-    speeds = {contact.v_0 for contact in model.contacts.values()}
-    V = speeds.pop() if len(speeds) == 1 else None
-    if V is None or speeds or V < LEAST_VELOCITY:
-        raise RenderError(
-            f"{model.scene.name}: LIGGGHTS' hooke model has one characteristicVelocity of at least "
-            f"{LEAST_VELOCITY:g} m/s for all contacts: expected one v_0 for all pairs (contact.v_0), or the "
-            "hooke/stiffness style"
-        )
-    return V
-
-
-def _elastic(scene: Scene, types: SpeciesTable) -> list[Entry]:
-    rigid = RIGID * max(float(p.material.young) for p in scene.particles)
-    materials = [bodies[0].material for bodies in types.members]
-    young = [rigid if m is None else float(m.young) for m in materials]
-    poisson = [0.0 if m is None else float(m.poisson) for m in materials]
-    return [
-        _property("youngsModulus", "peratomtype", [young]),
-        _property("poissonsRatio", "peratomtype", [poisson]),
+def data_text(deck: Deck, start: Particles) -> str:
+    """Return ``particles.data``: box, particles (ids 1 to n in row order), velocities, with every digit."""
+    lines = [f"Particles of {deck.scene}, in m, kg/m3, m/s; written by kncal", ""]
+    lines += [f"{len(start.x)} atoms", f"{len(deck.types)} atom types", ""]
+    lines += [f"{number(low)} {number(high)} {a}lo {a}hi" for a, (low, high) in zip("xyz", deck.box, strict=True)]
+    words = [" ".join(map(number, _size(kind))) for kind in deck.types if not kind.is_wall]
+    lines += ["", "Atoms", ""]
+    lines += [
+        f"{i} {kind + 1} {words[kind]} {x:.17g} {y:.17g} {z:.17g}"
+        for i, (kind, (x, y, z)) in enumerate(zip(start.kinds.tolist(), start.x.tolist(), strict=True), 1)
     ]
-
-
-_COMMENTS = {
-    "youngsModulus": "Young's modulus [Pa]; a rigid wall has one that changes nothing any more",
-    "poissonsRatio": "Poisson's ratio [-]",
-    "coefficientRestitution": "sets the damping [-]; lower than e_n where attraction is cut off (limitForce)",
-    "characteristicVelocity": "impact speed at which the spring stores as much energy as Hertz [m/s]",
-    "kn": "normal stiffness [N/m]",
-    "kt": "tangential stiffness [N/m]",
-    "gamman_abs": "normal damping coefficient eta_n [N s/m]",
-    "gammat_abs": "tangential damping [N s/m]: none, as in the other model",
-    "coefficientFriction": "Coulomb friction [-]",
-    "coefficientRollingFriction": "rolling friction [-]",
-}
-
-
-def _property(name: str, per: str, rows: list[list[float]]) -> Entry:
-    return {"name": name, "per": per, "rows": rows, "comment": _COMMENTS[name]}
-
-
-def _particle(particle: Particle, types: SpeciesTable) -> Entry:
-    return {
-        "name": particle.name,
-        "type": types.index[particle.name] + 1,
-        "diameter": 2.0 * particle.radius,
-        "density": particle.material.density,
-        "x": list(particle.position),
-        "v": list(particle.velocity),
-        "spin": list(particle.spin),
-    }
-
-
-def _wall(wall: Wall, types: SpeciesTable) -> Entry:
-    return {
-        "name": wall.name,
-        "type": types.index[wall.name] + 1,
-        "plane": f"{wall.axis}plane",
-        "position": wall.position,
-    }
-
-
-def _box(scene: Scene) -> list[list[float]]:
-    margin = 2.0 * max(p.radius for p in scene.particles)
-    return [
-        [
-            min(p.position[axis] for p in scene.particles) - margin,
-            max(p.position[axis] for p in scene.particles) + margin,
-        ]
-        for axis in range(3)
-    ]
+    if start.v.any() or start.spin.any():
+        rows = np.hstack([start.v, start.spin]).tolist()
+        lines += ["", "Velocities", ""]
+        lines += [f"{i} " + " ".join(f"{value:.17g}" for value in row) for i, row in enumerate(rows, 1)]
+    return "\n".join(lines) + "\n"

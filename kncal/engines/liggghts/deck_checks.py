@@ -5,14 +5,18 @@ from __future__ import annotations
 import math
 
 from kncal.core.errors import RenderError
-from kncal.physics.material import pair, wall_pair
+from kncal.scene.bed_model import BedModel
+from kncal.scene.bed_planning import PARTICLES, WALLS
+from kncal.scene.bed_scene import DEPTHS
 from kncal.scene.model import Model, PairContact
-from kncal.scene.scene import AXES, Particle, Scene, Vector, Wall
+from kncal.scene.scene import AXES, Particle, Scene, Vector
 
 #: LIGGGHTS counts the steps of one `run` in 32 bits.
 MOST_STEPS = 2**31 - 1
 #: Relative difference up to which two routes to one number count as rounding.
 ROUNDING = 1e-9
+#: A periodic column is at least so many diameters deep: no particle may touch another and its image.
+LEAST_PERIODIC = 3.0
 
 
 def expect(condition: bool, where: object, what: str, expected: str) -> None:
@@ -37,34 +41,50 @@ def expect_vector(where: str, what: str, vector: Vector) -> None:
     expect(good, where, f"{what} = {vector!r}", "three finite numbers")
 
 
-def check_numbers(model: Model) -> None:
-    """Refuse a model with a number out of its range, or without exactly one contact for every pair."""
-    name = model.scene.name
-    expect(model.kind in ("linear", "hertz"), name, f"model kind {model.kind!r}", "'linear' or 'hertz'")
-    expect(math.isfinite(model.dt) and model.dt > 0.0, name, f"dt = {model.dt!r} s", "a finite dt > 0")
-    expect(1 <= model.n_steps <= MOST_STEPS, name, f"{model.n_steps} steps", f"1 to {MOST_STEPS} steps")
-    expect(model.record_every >= 1, name, f"record_every = {model.record_every}", "at least 1 step")
-    expect(
-        model.flight_every >= model.record_every,
-        name,
-        f"flight_every = {model.flight_every}",
-        f"at least record_every = {model.record_every}",
-    )
+def check_contact(names: tuple[str, str], c: PairContact) -> None:
+    """Refuse a contact with a number out of its range."""
+    for key in ("k", "m_eff", "R_eff", "E_eff", "G_eff"):
+        value = getattr(c, key)
+        expect(math.isfinite(value) and value > 0.0, names, f"{key} = {value!r}", "a finite value > 0")
+    for key in ("c", "friction", "rolling_friction", "k_t"):
+        value = getattr(c, key)
+        expect(math.isfinite(value) and value >= 0.0, names, f"{key} = {value!r}", "a finite value >= 0")
+    expect(c.end in ("overlap", "force"), names, f"contact end {c.end!r}", "'overlap' or 'force'")
+
+
+def check_run(name: str, kind: str, kind_of_style: str, dt: float, steps: int | None) -> None:
+    """Refuse a model, a time step or a number of steps that LIGGGHTS would run all the same."""
+    expect(kind == kind_of_style, name, f"model kind {kind!r}", f"{kind_of_style!r}")
+    expect(math.isfinite(dt) and dt > 0.0, name, f"dt = {dt!r} s", "a finite dt > 0")
+    expect(steps is None or 1 <= steps <= MOST_STEPS, name, f"{steps} steps", f"1 to {MOST_STEPS} steps")
+
+
+def check_model(model: Model) -> None:
+    """Refuse a recording schedule that is none, or a model without exactly one contact for every pair."""
+    name, every = model.scene.name, model.record_every
+    expect(every >= 1, name, f"record_every = {every}", "at least 1 step")
+    flight = f"flight_every = {model.flight_every}"
+    expect(model.flight_every >= every, name, flight, f"at least record_every = {every}")
     wanted = {(a.name, b.name) for a, b in model.scene.body_pairs()}
-    expect(
-        wanted == set(model.contacts),
-        name,
-        "contacts of other pairs than the scene's",
-        "one contact per pair",
-    )
-    for names, c in model.contacts.items():
-        for key in ("k", "m_eff", "R_eff", "E_eff", "G_eff"):
-            value = getattr(c, key)
-            expect(math.isfinite(value) and value > 0.0, names, f"{key} = {value!r}", "a finite value > 0")
-        for key in ("c", "friction", "rolling_friction", "k_t"):
-            value = getattr(c, key)
-            expect(math.isfinite(value) and value >= 0.0, names, f"{key} = {value!r}", "a finite value >= 0")
-        expect(c.end in ("overlap", "force"), names, f"contact end {c.end!r}", "'overlap' or 'force'")
+    expect(wanted == set(model.contacts), name, "contacts of other pairs than the scene's", "one contact per pair")
+
+
+def check_bed(model: BedModel) -> None:
+    """Refuse what LIGGGHTS would run without a word: numbers of the bed, a missing contact, a thin periodic column."""
+    scene, column, d = model.scene, model.scene.column, model.scene.particles.diameter
+    name, gravity = scene.name, scene.gravity
+    expect(column.front_back in DEPTHS, name, f"front_back {column.front_back!r}", f"one of {', '.join(DEPTHS)}")
+    expect(math.isfinite(d) and d > 0.0, name, f"diameter = {d!r} m", "a finite diameter > 0")
+    expect(math.isfinite(gravity) and gravity >= 0.0, name, f"gravity = {gravity!r} m/s²", "a finite value >= 0")
+    for one, other in ((PARTICLES, PARTICLES), (PARTICLES, WALLS)):
+        expect((one, other) in model.contacts, name, f"no contact of {one} with {other}", "one contact per pair")
+    if column.front_back == "periodic":
+        expect(
+            column.depth >= LEAST_PERIODIC * d,
+            name,
+            f"periodic depth {column.depth:g} m",
+            f"at least {LEAST_PERIODIC:g} diameters ({LEAST_PERIODIC * d:g} m), so that no two particles touch twice",
+        )
 
 
 def check_start(scene: Scene) -> None:
@@ -107,27 +127,3 @@ def require_tsuji(names: tuple[str, str], contact: PairContact) -> None:
         f"pair {names[0]}, {names[1]}: law {contact.law!r}: {why}; its model hertz is 'tsuji', or 'hertz' without "
         "damping: expected one of these, or (single contacts only) the builtin engine for the hertz model"
     )
-
-
-def check_elastic(scene: Scene, names: tuple[str, str], contact: PairContact) -> None:
-    """Refuse an effective mass, radius or modulus that is not what LIGGGHTS makes of the materials."""
-    bodies = {body.name: body for body in scene.bodies}
-    a, b = bodies[names[0]], bodies[names[1]]
-    assert isinstance(a, Particle)  # noqa: S101  # `Scene.body_pairs` puts the particle first
-    own = (
-        wall_pair(a.material, a.radius, b.material)
-        if isinstance(b, Wall)
-        else pair(a.material, a.radius, b.material, b.radius)
-    )
-    for key, value in (("m_eff", own.m_eff), ("R_eff", own.R_eff), ("E_eff", own.E_eff)):
-        expect_same(names, key, getattr(contact, key), float(value), "value of these two bodies")
-
-
-def check_tangential(names: tuple[str, str], c: PairContact, style: str) -> None:
-    """Refuse a tangential stiffness where LIGGGHTS takes one of its own and this is another."""
-    if style == "hertz":
-        mindlin = 8.0 * c.G_eff * math.sqrt(c.R_eff)
-        expect_same(names, "k_t", c.k_t, mindlin, "Mindlin stiffness 8 G_eff sqrt(R_eff)")
-    elif style == "hooke":
-        meaning = "normal stiffness, which the model hooke also takes tangentially (or, with ktToKnUser on, 2/7 of it, "
-        expect_same(names, "k_t", c.k_t, c.k, f"{meaning}which kncal does not write)")

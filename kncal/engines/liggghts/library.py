@@ -32,11 +32,13 @@ from kncal.core.process import solver_environment
 from kncal.core.scratch import held_scratch
 from kncal.core.solver_process import receive, silent
 from kncal.core.stopping import shielded_start
-from kncal.engines.liggghts.bed_deck import DECK, RESTART, as_rows, middle, sides, write_deck
-from kncal.engines.liggghts.impacts import speed_edges
+from kncal.engines.liggghts.deck import DECK, RESTART, bed_deck, write_deck
+from kncal.engines.liggghts.deck_checks import expect
+from kncal.engines.liggghts.impacts import Side, speed_edges
 from kncal.engines.liggghts.library_child import LIBRARY, MAX_MESSAGE, SAVED_FORCES, Shared, histogram_edges
 from kncal.record.steps import DemStep
 from kncal.scene.bed_model import BedModel
+from kncal.scene.bed_scene import BedScene
 
 LOG = "log.liggghts"
 #: What `LiggghtsDem.save` writes.
@@ -101,12 +103,12 @@ class LiggghtsDem:
         if restart is not None:
             for name in SAVED:
                 _copy_saved(restart / name, folder / name)
-            write_deck(model, folder)
+            write_deck(bed_deck(model), folder)
         elif positions is not None:
-            x = as_rows("positions", positions, self._count)
-            v = None if velocities is None else as_rows("velocities", velocities, self._count)
+            x = _as_rows("positions", positions, self._count)
+            v = None if velocities is None else _as_rows("velocities", velocities, self._count)
             _check_inside(model, x, v)
-            write_deck(model, folder, x, v)
+            write_deck(bed_deck(model, x, v), folder)
         else:
             raise InputError("positions: None, expected (n, 3) centres, or a restart folder")
         self._scratch = ExitStack()
@@ -348,6 +350,25 @@ class LiggghtsDem:
         self._cpu = usage.ru_utime + usage.ru_stime
         self._scratch.close()
         return child.returncode
+
+
+def sides(scene: BedScene) -> list[Side]:
+    """Return the pairs of walls of the column: axis, and coordinate of the second wall [m]; the first is at 0."""
+    column = scene.column
+    return [(0, column.width), (2, column.height)] + ([(1, column.depth)] if column.front_back == "walls" else [])
+
+
+def middle(scene: BedScene) -> float:
+    """Return the y of a layer's plane [m]."""
+    return 0.5 * scene.column.depth
+
+
+def _as_rows(name: str, value: Array, count: int) -> Array:
+    """Return ``value`` as a contiguous (count, 3) float array."""
+    rows = np.ascontiguousarray(value, dtype=np.float64)
+    expect(rows.shape == (count, 3), name, f"shape {rows.shape}", f"({count}, 3): one row per particle")
+    expect(bool(np.isfinite(rows).all()), name, "numbers that are not finite", "finite numbers")
+    return rows
 
 
 def _check_inside(model: BedModel, x: Array, v: Array | None) -> None:

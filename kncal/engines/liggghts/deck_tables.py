@@ -1,0 +1,325 @@
+"""Contacts as LIGGGHTS 3.8.0 takes them: atom types, the normal model's words, and its numbers by pairs of types.
+
+Force laws as LIGGGHTS codes them (delta > 0 overlap, v approach speed, b = -ln e/sqrt(pi² + ln² e)):
+
+``hooke/stiffness`` with ``absolute_damping``: F = kn delta + gamman_abs v; without: F = kn delta + m_eff gamman v.
+``hertz``: F = (4/3) Y sqrt(R) delta^1.5 + 2 sqrt(5/6) b sqrt(2 Y sqrt(R delta) m) v, the Tsuji form:
+C = c/sqrt(m k_h) = sqrt(5) b.
+``hooke``: F = kn delta + 2 b sqrt(m kn) v with kn = (16/15) sqrt(R) Y (15 m V²/(16 sqrt(R) Y))^(1/5).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from kncal.core.errors import RenderError
+from kncal.engines.liggghts.deck_checks import ROUNDING, check_contact, expect, expect_same, require_tsuji
+from kncal.physics.material import Material, pair, wall_pair
+from kncal.scene.model import PairContact
+
+#: Normal models of LIGGGHTS, and the kind of contact that each is made from.
+STYLES: Mapping[str, str] = {"hooke/stiffness": "linear", "hooke": "linear", "hertz": "hertz"}
+#: LIGGGHTS refuses a coefficientRestitution of 0.05 and below.
+LEAST_RESTITUTION = 0.05
+#: Young's modulus beyond which LIGGGHTS (units si) wants `soft_particles yes` or `hard_particles yes` [Pa].
+SOFT_LIMIT, HARD_LIMIT = 5e6, 1e9
+#: LIGGGHTS refuses a smaller characteristicVelocity [m/s].
+LEAST_VELOCITY = 1e-2
+#: A wall this much stiffer than the softest particle changes E_eff by less than rounding does.
+RIGID = 1e17
+#: k_t/k_n that LIGGGHTS' hooke model can have -> its switch; and how near to such a ratio is that ratio: 2/7 is often
+#: written with four digits.
+_HOOKE_RATIOS, _FEW_DIGITS = {1.0: "", 2.0 / 7.0: "ktToKnUser on"}, 1e-3
+
+TypePair = tuple[int, int]
+Names = tuple[str, str]
+Contacts = Mapping[TypePair, PairContact]
+Entry = dict[str, object]
+
+
+@dataclass(frozen=True, kw_only=True)
+class AtomType:
+    """An atom type.
+
+    Attributes
+    ----------
+    name : for errors and comments
+    material : None for a rigid wall
+    radius : of its particles [m]; None for walls, or where nothing is known of it
+    is_wall : whether walls are of this type; two walls never touch
+    bodies : names of what is of this type, for a comment
+    """
+
+    name: str
+    material: Material | None
+    radius: float | None = None
+    is_wall: bool = False
+    bodies: tuple[str, ...] = ()
+
+
+def contact_context(
+    where: str,
+    types: Sequence[AtomType],
+    contacts: Contacts,
+    style: str,
+    *,
+    unmet: Contacts | None = None,
+    tangential: bool = True,
+    absolute: bool = True,
+) -> dict[str, object]:
+    """Return what the templates say of contacts: the normal model's words, and its numbers by types and their pairs.
+
+    A pair of types that is neither in ``contacts`` nor can be taken from ``unmet`` is in ``lacking``. It and two walls
+    repeat the largest number of the others, since LIGGGHTS wants one for every pair of types.
+
+    Parameters
+    ----------
+    where : name of the scene, for errors
+    types : the atom types 1, 2, ...
+    contacts : (i, j) with i <= j, from 0 -> contact of these two types
+    style : one of `STYLES`
+    unmet : contacts of pairs that the scene has no use for: those that LIGGGHTS cannot do are left out
+    tangential : whether contacts have friction and tangential springs
+    absolute : whether damping is written as eta_n [N s/m], as in kncal's own decks, or per effective mass [1/s], as
+        LIGGGHTS takes it by default
+
+    Raises
+    ------
+    RenderError
+        If a number is out of its range, or LIGGGHTS would make another contact of these.
+    """
+    ends = {c.end for c in contacts.values()}
+    expect(
+        len(ends) <= 1,
+        where,
+        f"contacts end at {' and '.join(sorted(ends))}",
+        "one contact.end: LIGGGHTS has one limitForce for all of them",
+    )
+    expect(bool(contacts), where, "no contact to take numbers from", "a contact for every two types that meet")
+    law = _Law(
+        style=style,
+        tangential=tangential,
+        rolling=any(c.rolling_friction > 0.0 for c in contacts.values()),
+        absolute=absolute,
+        velocity=_characteristic_velocity(where, contacts.values()) if style == "hooke" else math.nan,
+    )
+    columns, lacking = _columns(types, contacts, unmet or {}, law)
+    elastic = _elastic(types) if style != "hooke/stiffness" else {}
+    properties = [_property(name, "peratomtype", [values]) for name, values in elastic.items()]
+    if style == "hooke":
+        properties.append(_property("characteristicVelocity", "scalar", [[law.velocity]]))
+    every = range(len(types))
+    for name, column in columns.items():
+        filler = max(column.values())
+        rows = [[column.get((min(i, j), max(i, j)), filler) for j in every] for i in every]
+        properties.append(_property(name, "peratomtypepair", rows))
+    force_end = "force" in ends
+    hooke_switch = ""
+    if style == "hooke" and tangential:
+        hooke_switch = _hooke_switch(where, contacts, ROUNDING if absolute else _FEW_DIGITS)
+    switches = {
+        "limitForce on": force_end,
+        "absolute_damping on": style == "hooke/stiffness" and absolute,
+        hooke_switch: bool(hooke_switch),
+        "tangential_damping off": tangential,
+    }
+    return {
+        "types": [
+            {"name": t.name, "role": "walls" if t.is_wall else "particles", "bodies": list(t.bodies)} for t in types
+        ],
+        "lacking": [[i + 1, j + 1] for i, j in lacking],
+        "soft": any(value < SOFT_LIMIT for value in elastic.get("youngsModulus", [])),
+        "hard": any(value > HARD_LIMIT for value in elastic.get("youngsModulus", [])),
+        "properties": properties,
+        "tangential": tangential,
+        "force_end": force_end,
+        "selectors": f"{style} tangential {'history' if tangential else 'off'}"
+        + (" rolling_friction cdt" if law.rolling else ""),
+        "switches": " ".join(word for word, wanted in switches.items() if wanted),
+    }
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Law:
+    """What LIGGGHTS is to make of the contacts; ``velocity``: its characteristicVelocity [m/s]."""
+
+    style: str
+    tangential: bool
+    rolling: bool
+    absolute: bool
+    velocity: float
+
+
+def _columns(
+    types: Sequence[AtomType], contacts: Contacts, unmet: Contacts, law: _Law
+) -> tuple[dict[str, dict[TypePair, float]], list[TypePair]]:
+    """Return the numbers of each property by pairs of types, and the pairs that have none."""
+    known = {(i, j): _numbers(types[i], types[j], contact, law) for (i, j), contact in contacts.items()}
+    lacking = []
+    for i, j in _pairs(types):
+        if (i, j) not in known:
+            try:
+                known[i, j] = _numbers(types[i], types[j], unmet[i, j], law)
+            except (KeyError, RenderError):
+                lacking.append((i, j))
+    names = next(iter(known.values()))
+    return {name: {which: found[name] for which, found in known.items()} for name in names}, lacking
+
+
+def _numbers(one: AtomType, other: AtomType, c: PairContact, law: _Law) -> dict[str, float]:
+    names = (one.name, one.bodies[1] if one is other and len(one.bodies) > 1 else other.name)
+    check_contact(names, c)
+    found = _NUMBERS[law.style](names, c, one, other, law)
+    if law.style == "hertz" and law.tangential:
+        expect_same(names, "k_t", c.k_t, 8.0 * c.G_eff * math.sqrt(c.R_eff), "Mindlin stiffness 8 G_eff sqrt(R_eff)")
+    if law.tangential:
+        found["coefficientFriction"] = c.friction
+    if law.rolling:
+        found["coefficientRollingFriction"] = c.rolling_friction
+    return found
+
+
+def _pairs(types: Sequence[AtomType]) -> list[TypePair]:
+    """Every pair of types that can touch at all."""
+    every = range(len(types))
+    return [(i, j) for i in every for j in every[i:] if not (types[i].is_wall and types[j].is_wall)]
+
+
+def tsuji_restitution(contact: PairContact, names: Names) -> float:
+    """Return the coefficientRestitution whose Tsuji damping in LIGGGHTS is exactly ``contact.c``.
+
+    C = c/sqrt(m_eff k_h) = sqrt(5) b, e = exp(-pi b/sqrt(1 - b²)): the overlap-end relation for either end.
+
+    Raises
+    ------
+    RenderError
+        If C >= sqrt(5), or e <= 0.05, which LIGGGHTS refuses.
+    """
+    return _restitution(contact, names, contact.c / math.sqrt(5.0 * contact.m_eff * contact.k))
+
+
+def spring_restitution(contact: PairContact, names: Names) -> float:
+    """Return the coefficientRestitution whose damping of LIGGGHTS' `hooke` is exactly ``contact.c``, 2 b sqrt(m_eff k).
+
+    Raises
+    ------
+    RenderError
+        As `tsuji_restitution`.
+    """
+    return _restitution(contact, names, contact.c / (2.0 * math.sqrt(contact.m_eff * contact.k)))
+
+
+def _restitution(contact: PairContact, names: Names, b: float) -> float:
+    e = math.exp(-math.pi * b / math.sqrt(1.0 - b * b)) if b < 1.0 else 0.0
+    if e <= LEAST_RESTITUTION:
+        asked = f"e_n = {contact.e_n:g} with contact end {contact.end!r}"
+        raise RenderError(
+            f"pair {names[0]}, {names[1]}: {asked} needs damping that this LIGGGHTS model does not have (its "
+            f"coefficientRestitution would be {e:.4g}; it wants more than {LEAST_RESTITUTION:g}): choose a "
+            f"larger e_n, {'the hooke/stiffness style, ' if contact.law == 'linear' else ''}or run this model with the "
+            "builtin engine"
+        )
+    # The inverse of the formula that gave c: the same number but for rounding; the asked one reads better.
+    return contact.e_n if abs(e - contact.e_n) < 1e-14 else min(e, 1.0)
+
+
+def _require_linear(names: Names, c: PairContact) -> None:
+    expect(c.law == "linear" and c.n == 1.0, names, f"law {c.law!r} in a linear model", "law 'linear'")
+
+
+def _linear_numbers(names: Names, c: PairContact, one: AtomType, other: AtomType, law: _Law) -> dict[str, float]:
+    _require_linear(names, c)
+    damping = {"gamman_abs": c.c, "gammat_abs": 0.0} if law.absolute else {"gamman": c.c / c.m_eff, "gammat": 0.0}
+    return {"kn": c.k, "kt": c.k_t if law.tangential else 0.0} | damping
+
+
+def _hertz_numbers(names: Names, c: PairContact, one: AtomType, other: AtomType, law: _Law) -> dict[str, float]:
+    require_tsuji(names, c)
+    _check_elastic(names, c, one, other)
+    k_h = 4.0 / 3.0 * c.E_eff * math.sqrt(c.R_eff)
+    expect_same(names, "k", c.k, k_h, "Hertz stiffness (4/3) E_eff sqrt(R_eff)")
+    return {"coefficientRestitution": tsuji_restitution(c, names)}
+
+
+def _hooke_numbers(names: Names, c: PairContact, one: AtomType, other: AtomType, law: _Law) -> dict[str, float]:
+    _require_linear(names, c)
+    _check_elastic(names, c, one, other)
+    stiff = math.sqrt(c.R_eff) * c.E_eff
+    k = 16.0 / 15.0 * stiff * (15.0 * c.m_eff * law.velocity**2 / (16.0 * stiff)) ** 0.2
+    meaning = "stiffness that LIGGGHTS' hooke model finds by strain energy"
+    expect_same(names, "k", c.k, k, f"{meaning}: take contact.method = 'strain_energy', or the hooke/stiffness style")
+    return {"coefficientRestitution": spring_restitution(c, names)}
+
+
+_Numbers = Callable[[Names, PairContact, AtomType, AtomType, _Law], dict[str, float]]
+_NUMBERS: Mapping[str, _Numbers] = {
+    "hooke/stiffness": _linear_numbers,
+    "hertz": _hertz_numbers,
+    "hooke": _hooke_numbers,
+}
+
+
+def _check_elastic(names: Names, contact: PairContact, one: AtomType, other: AtomType) -> None:
+    """Refuse an effective mass, radius or modulus that is not what LIGGGHTS makes of the materials."""
+    if one.material is None or one.radius is None or not (other.is_wall or other.radius):
+        return  # nothing is known to compare with
+    if other.is_wall:
+        own = wall_pair(one.material, one.radius, other.material)
+    else:
+        own = pair(one.material, one.radius, other.material, other.radius)
+    for key in ("m_eff", "R_eff", "E_eff", "G_eff"):
+        expect_same(names, key, getattr(contact, key), float(getattr(own, key)), "value of these two bodies")
+
+
+def _characteristic_velocity(where: str, contacts: Iterable[PairContact]) -> float:
+    """The one impact speed of all pairs [m/s], which LIGGGHTS' hooke model takes."""
+    speeds = {c.v_0 for c in contacts}
+    V = speeds.pop() if len(speeds) == 1 else None
+    if V is None or V < LEAST_VELOCITY:
+        raise RenderError(
+            f"{where}: LIGGGHTS' hooke model has one characteristicVelocity of at least {LEAST_VELOCITY:g} m/s for all "
+            "contacts: expected one v_0 for all pairs (contact.v_0), or the hooke/stiffness style"
+        )
+    return V
+
+
+def _hooke_switch(where: str, contacts: Contacts, near: float) -> str:
+    """The switch for k_t/k_n in LIGGGHTS' hooke model, which has no property kt."""
+    ratios = [c.k_t / c.k for c in contacts.values() if c.friction > 0.0]
+    for ratio, switch in _HOOKE_RATIOS.items():
+        if all(math.isclose(found, ratio, rel_tol=near) for found in ratios):
+            return switch
+    raise RenderError(
+        f"{where}: k_t/k_n = {ratios[0]:.4g}: LIGGGHTS' hooke model has 1, or 2/7 with ktToKnUser on, for all pairs: "
+        "expected such a k_t_ratio, or the style hooke/stiffness"
+    )
+
+
+def _elastic(types: Sequence[AtomType]) -> dict[str, list[float]]:
+    rigid = RIGID * max(float(t.material.young) for t in types if t.material is not None and not t.is_wall)
+    return {
+        "youngsModulus": [rigid if t.material is None else float(t.material.young) for t in types],
+        "poissonsRatio": [0.0 if t.material is None else float(t.material.poisson) for t in types],
+    }
+
+
+_COMMENTS = {
+    "youngsModulus": "Young's modulus [Pa]; a rigid wall has one that changes nothing any more",
+    "poissonsRatio": "Poisson's ratio [-]",
+    "characteristicVelocity": "impact speed at which the spring stores as much energy as Hertz [m/s]",
+    "coefficientRestitution": "sets the damping [-]; lower than e_n where attraction is cut off (limitForce)",
+    "kn": "normal stiffness k_n [N/m]",
+    "kt": "tangential stiffness k_t [N/m]",
+    "gamman_abs": "normal damping coefficient eta_n [N s/m]",
+    "gammat_abs": "tangential damping [N s/m]: none, energy is lost by sliding alone",
+    "gamman": "normal damping per effective mass, eta_n/m_eff [1/s]",
+    "gammat": "tangential damping [1/s]: none (tangential_damping off), energy is lost by sliding alone",
+    "coefficientFriction": "Coulomb friction [-]",
+    "coefficientRollingFriction": "rolling friction [-]",
+}
+
+
+def _property(name: str, per: str, rows: list[list[float]]) -> Entry:
+    return {"name": name, "per": per, "rows": rows, "comment": _COMMENTS[name]}
