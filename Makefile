@@ -1,6 +1,7 @@
 # Every path here is relative, so the checkout may lie in a folder whose name holds spaces.
 
 PYTHON := .venv/bin/python
+PYTEST := $(PYTHON) -m pytest -n 2 --dist loadscope --no-loadscope-reorder
 OUT := runs/falling_particle
 BED_OUT := runs/bubbling_bed_mini_demo
 DEMO := kncal compare falling_particle --engine liggghts --out $(OUT)
@@ -9,20 +10,17 @@ EXAMPLES := 100000
 BED_DEMO := kncal compare bubbling_bed_mini --set run.end_time=0.1 --out $(BED_OUT)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo demo-bed fuzz studies adapter test lint clean setup setup-dev
+.PHONY: help demo demo-bed studies adapter check test test-long lint clean setup setup-dev
 
 help:
 	@echo 'make demo   set up everything, compare linear and Hertz contact: a falling particle, then the first tenth of a'
 	@echo '            second of a small bubbling bed; writes a report of each'
-	@echo 'make test   set up everything with the development tools, run all tests'
-	@echo 'make fuzz   set up likewise, feed the readers 1e5 damaged files each'
+	@echo 'make check  set up everything with the development tools, run the tests that need no solver (a minute)'
+	@echo 'make test   set up likewise, run all tests but the long ones, with the real solvers (six minutes on two cores)'
+	@echo 'make test-long  set up likewise, run what is left: 1e5 damaged files of each kind, long beds, power cuts (hours)'
 	@echo 'make studies  set up likewise, make the numbers and figures in docs/studies anew (about an hour)'
 	@echo 'make lint   set up likewise, check style, formatting and types'
 	@echo 'make clean  remove .venv, the runs of the demo, builds and caches'
-
-# Damaged and invented input files, many of them (about an hour).
-fuzz: setup-dev
-	KNCAL_FUZZ=$(EXAMPLES) $(PYTHON) -m pytest tests/promises/fuzz -n 2 --timeout 0
 
 # What is in runs/studies already is not run again.
 studies: setup adapter
@@ -58,8 +56,15 @@ demo-bed:
 	  echo 'make: no DPMFoam on this machine (apt-get install openfoam): the bubbling bed is left out'; \
 	fi
 
+# See tests/README.md.
+check: setup-dev
+	$(PYTEST) -m 'not solver and not slow and not long'
+
 test: setup-dev adapter
-	$(PYTHON) -m pytest -n 2 --dist loadscope
+	$(PYTEST) -m 'not long'
+
+test-long: setup-dev adapter
+	KNCAL_FUZZ=$(EXAMPLES) $(PYTEST) -m long --timeout 0
 
 lint: setup-dev
 	$(PYTHON) -m ruff check

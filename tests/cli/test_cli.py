@@ -9,6 +9,8 @@ import pytest
 
 from kncal.cli import main
 
+pytestmark = pytest.mark.slow
+
 KN = [
     "kn",
     "--young",

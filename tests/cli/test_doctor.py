@@ -43,6 +43,7 @@ def here(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[doctor.Finding]
         os.chdir(before)
 
 
+@pytest.mark.slow
 def test_leaves_nothing_behind(here):
     assert here[1] == []
 

@@ -22,6 +22,8 @@ from kncal.runs.solving import get_engine
 from kncal.runs.workflow import complete, load_both, render_case, report_on, run_case
 from kncal.scene.case_file import load_case
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def templates(tmp_path: Path) -> Path:

@@ -18,6 +18,8 @@ from kncal.observe.bed_compare import BedComparison, BedRunData, compare_beds
 from kncal.observe.bed_rows import DOUBT, Side, decide, judge, judge_field
 from kncal.physics.statistics import Average, average
 
+pytestmark = pytest.mark.slow
+
 
 def side(seed: int, mean: float = 10.0, length: float = 40.0, tau: float = TAU) -> Side:
     n = round(length / COUPLING)

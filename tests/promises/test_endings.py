@@ -14,6 +14,8 @@ from kncal import cli
 from kncal.cli import main
 from kncal.study.design import DESIGN
 
+pytestmark = pytest.mark.slow
+
 EXIT_FAILED, EXIT_UNEXPECTED = 3, 5
 
 

@@ -26,6 +26,8 @@ from kncal.scene.case_file import load_case
 from kncal.scene.exact import solve
 from kncal.scene.plan import plan
 
+pytestmark = pytest.mark.slow
+
 KNCAL = (sys.executable, "-m", "kncal")
 
 

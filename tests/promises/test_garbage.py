@@ -21,6 +21,8 @@ from kncal.physics.material import Pair
 from kncal.physics.matrix import MOST_TYPES
 from kncal.physics.uncertainty import MOST_SAMPLES
 
+pytestmark = pytest.mark.slow
+
 GLASS = kncal.Material(young=70e9, poisson=0.22, density=2500.0)
 BEADS = kncal.pair(GLASS, 1e-3)
 #: Far above what any refusal needs, far below what the garbage asks for.

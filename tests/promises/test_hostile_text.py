@@ -312,6 +312,7 @@ def test_pickled_arrays_are_never_unpickled(tmp_path: Path) -> None:
     assert not (tmp_path / "ran").exists()
 
 
+@pytest.mark.slow
 def test_modules_in_the_working_folder_are_not_imported(tmp_path: Path) -> None:
     """A stranger's folder with a numpy.py or a kncal/ in it: children of kncal do not look there."""
     (tmp_path / "numpy.py").write_text("open('ran', 'w')")

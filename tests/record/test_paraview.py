@@ -14,6 +14,8 @@ from kncal.record.frames import Trajectory
 from kncal.record.paraview import write_particles
 from kncal.scene.meshes import read_mesh
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def motion() -> Trajectory:

@@ -21,6 +21,8 @@ from kncal.runs.states import ADVICE, STATES, case_states, run_state
 from kncal.runs.workflow import run_case
 from kncal.scene.case_file import load_scene
 
+pytestmark = pytest.mark.slow
+
 SCENE = load_scene("wall_impact")
 
 

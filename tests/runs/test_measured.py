@@ -17,6 +17,8 @@ from kncal.scene.case_file import dump_case, load_case, parse_case
 from kncal.scene.plan import plan
 from kncal.scene.scene import MeasuredSpeed, Scene
 
+pytestmark = pytest.mark.slow
+
 solver = pytest.mark.solver
 
 BALL = """

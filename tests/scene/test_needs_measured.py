@@ -18,6 +18,8 @@ from kncal.study.trim.base import ON, Trim
 from kncal.study.trim.effect import resolution_of
 from kncal.study.trim.workflow import TrimOptions, trim
 
+pytestmark = pytest.mark.slow
+
 SINGLE = shipped_cases(beds=False)
 #: Friction in every contact, so that the rule has to look at the motion.
 ROUGH = "contact.friction=0.3"

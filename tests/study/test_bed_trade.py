@@ -34,6 +34,8 @@ from kncal.study.trade.bed_points import (
 )
 from kncal.study.trade.bed_runs import Part, Track, load_part, measured_rates
 
+pytestmark = pytest.mark.slow
+
 Z = "z_mean"
 
 

@@ -21,6 +21,8 @@ from kncal.study.stability.limits import advised_limit, arrangement_limit, touch
 from kncal.study.stability.outcome import judge
 from kncal.study.stability.probes import DIRECTIONS, at_step, impact_of_cluster, ingredients, pressed
 
+pytestmark = pytest.mark.slow
+
 SPHERE = ingredients(load_case("wall_impact"))
 BED = ingredients(load_case("bubbling_bed_mini"))
 

@@ -18,7 +18,6 @@ from kncal.study import read_sweep, sweep_status
 
 pytestmark = pytest.mark.solver
 
-KILLS = 50
 #: Six runs of both models.
 ARGUMENTS = ("--set", "contact.e_n=0.6,0.8", "--set", "run.steps_per_contact=20,30,40", "--workers", "2")
 IDS = 6
@@ -95,19 +94,20 @@ def undisturbed(server: Server, case: Path, tmp_path_factory) -> tuple[pd.DataFr
     return read_sweep(out), time.monotonic() - begin
 
 
-def test_fifty_power_cuts_lose_nothing_and_double_nothing(
-    server: Server, case: Path, undisturbed, tmp_path: Path
+@pytest.mark.parametrize("most", [20, pytest.param(500, marks=[pytest.mark.long, pytest.mark.timeout(0)])])
+def test_power_cuts_lose_nothing_and_double_nothing(
+    server: Server, case: Path, undisturbed, tmp_path: Path, most: int
 ) -> None:
     table, duration = undisturbed
     kills, rounds = 0, 0
     rng = np.random.default_rng(20240607)
-    while kills < KILLS:
+    while kills < most:
         rounds += 1
         out = tmp_path / f"sweep{rounds}"
         while True:
             pid = server.start("sweep", case, *ARGUMENTS, "--out", out)
             # once the test has its kills, the last sweep may come to its end
-            ended = kills < KILLS and _cut(pid, rng.uniform(0.0, 0.6) * duration, everything=bool(rng.integers(2)))
+            ended = kills < most and _cut(pid, rng.uniform(0.0, 0.6) * duration, everything=bool(rng.integers(2)))
             code = server.code()
             _no_solver_is_left(out)
             if not ended:
@@ -116,7 +116,7 @@ def test_fifty_power_cuts_lose_nothing_and_double_nothing(
                     break
             kills += ended
         _same(out, table)
-    assert kills >= KILLS
+    assert kills >= most
     assert rounds >= 2  # finished and begun anew between the kills: they came at every stage of a sweep
 
 

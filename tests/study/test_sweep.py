@@ -34,6 +34,8 @@ from kncal.study import (
 from kncal.study.design import physics_text
 from kncal.study.table import write_table
 
+pytestmark = pytest.mark.slow
+
 SETTINGS = Settings(engine="builtin")
 GRID = ("contact.v_0=0.5,1.0", "run.steps_per_contact=20,30")
 

@@ -8,6 +8,8 @@ from kncal.cli import main
 from kncal.cli.trade import seconds
 from kncal.core.errors import InputError
 
+pytestmark = pytest.mark.slow
+
 
 def kncal(capsys, *arguments):
     with pytest.raises(SystemExit) as stop:

@@ -18,6 +18,8 @@ from kncal.study.trade.points import contacts, softened, softer_materials
 from kncal.study.trade.single import trade_contacts
 from kncal.study.trade.workflow import run_trade
 
+pytestmark = pytest.mark.slow
+
 FACTOR = 0.1
 
 THREE_PAIRS = """

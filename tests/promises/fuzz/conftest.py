@@ -1,4 +1,4 @@
-"""How much is fuzzed: a few hundred examples with the other tests, or KNCAL_FUZZ of them (``make fuzz``)."""
+"""How much is fuzzed: a few hundred examples with the other tests, or KNCAL_FUZZ of them (``make test-long``)."""
 
 from __future__ import annotations
 
@@ -15,6 +15,13 @@ from hypothesis import HealthCheck, Phase, settings
 EXAMPLES = int(os.environ.get("KNCAL_FUZZ", "0"))
 #: Seconds for one example, whatever else the machine does; bytes beyond what the process has taken.
 MOST_SECONDS, MOST_MEMORY = 20, 2 << 30
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """With KNCAL_FUZZ the tests of this folder are long ones."""
+    for item in items:
+        if EXAMPLES and item.path.is_relative_to(Path(__file__).parent):
+            item.add_marker(pytest.mark.long)
 
 
 def fuzzed(share: float = 1.0, short: int = 150) -> settings:
