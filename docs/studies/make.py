@@ -217,8 +217,12 @@ def figures(page: Path, folder: str, names: Sequence[str]) -> None:
 
 
 def answer(trade: dict[str, Any]) -> str:
-    """Return the sentences of a trade as a list."""
-    return "\n".join(f"- {sentence}" for sentence in trade["verdict"])
+    """Return the sentences of a trade as a list, without those that the tables, or the page, say."""
+    return "\n".join(f"- {sentence}" for sentence in trade["verdict"] if not sentence.startswith(SAID))
+
+
+#: How sentences begin that a page has no need of: the tables say it, or the page does once.
+SAID = ("Cheapest contact", "Against ", "In no range", "Most runs", "All runs", "Load of")
 
 
 #: What the motion is, and what the contact is.
