@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
@@ -117,18 +117,25 @@ def doctor(*, json: Json = False) -> int:
 
 
 def laws(*, json: Json = False) -> None:
-    """List the contact laws and the methods for k_n, with sources and limits."""
+    """List the contact laws, the methods for k_n and the drag laws, with sources and limits."""
+    from kncal.core.registry import Registry
+    from kncal.physics.drag import DRAGS
     from kncal.physics.laws import LAWS
     from kncal.physics.methods import METHODS
 
     if json:
+        keys: tuple[tuple[Registry[Any], tuple[str, ...]], ...] = (
+            (LAWS, ("name", "title", "source", "note")),
+            (METHODS, ("name", "title", "source", "keeps", "loses", "avoid")),
+            (DRAGS, ("name", "title", "source")),
+        )
         show.as_json(
             {
-                "laws": [{"name": w.name, "title": w.title, "source": w.source, "note": w.note} for w in LAWS.values()],
-                "methods": [
-                    {k: getattr(m, k) for k in ("name", "title", "source", "keeps", "loses", "avoid")}
-                    for m in METHODS.values()
-                ],
+                f"{found.what}s": [
+                    {key: getattr(entry, key) for key in wanted} | {"package": found.source(name)}
+                    for name, entry in found.items()
+                ]
+                for found, wanted in keys
             }
         )
         return
@@ -144,5 +151,12 @@ def laws(*, json: Json = False) -> None:
         ["method", "keeps equal", "does not keep", "not for"],
         [[m.name, m.keeps, m.loses, m.avoid] for m in METHODS.values()],
         text=(0, 1, 2, 3),
+        fold=True,
+    )
+    show.table(
+        "Drag laws",
+        ["drag", "what it is", "source"],
+        [[d.name, d.title, d.source] for d in DRAGS.values()],
+        text=(0, 1, 2),
         fold=True,
     )

@@ -24,7 +24,7 @@ class GasSetup:
     inlet : superficial velocity through the floor [m/s] (0 with a jet); jet : Jet or None
     density [kg/m³], viscosity (dynamic) [Pa s], gravity (downwards) [m/s²]
     step : gas step [s]
-    drag : name of the drag law (`kncal.scene.bed_scene.DRAGS`)
+    drag : name of the drag law (`kncal.physics.drag.DRAGS`)
     walls : "slip" or "noSlip"; front_back : "walls", "periodic" or "layer" (no gas motion in y: patch type empty)
     parcels_per_particle : 1, 8 or 27
     """

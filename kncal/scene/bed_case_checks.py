@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from kncal.core.checks import Array
+from kncal.physics.drag import DRAGS
 from kncal.physics.statistics import MIN_SAMPLES
 from kncal.scene.bed_metrics import BED_METRICS
 from kncal.scene.bed_schema import MOST_CELLS, BedTable
@@ -160,6 +161,7 @@ def _gas(case: BedTable) -> Iterator[Problem]:
         if not particles.count:
             yield ("particles", "count"), "count = 0: neither particles nor gas: expected one of them"
         return
+    yield from known_name(("gas", "drag"), gas.drag, DRAGS)
     material = case.materials.get(particles.material)
     if material is not None and material.density <= gas.density:
         yield ("gas", "density"), f"density = {gas.density:g}: expected less than the particles' {material.density:g}"

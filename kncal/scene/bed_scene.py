@@ -13,7 +13,6 @@ from kncal.scene.scene import ContactChoice
 #: What bounds the bed in y: walls, periodic, or one layer of particles held in its plane (no front and back walls).
 DEPTHS = ("walls", "periodic", "layer")
 #: Drag laws of stock DPMFoam (names of OpenFOAM v1912 without "Drag").
-DRAGS = ("ErgunWenYu", "PlessisMasliyah")
 #: Where the particles start: settled by a run of their own, on a loose lattice, or where the case says.
 PACKINGS = ("settled", "lattice", "given")
 #: Parcels that may share a particle's volume.
@@ -68,7 +67,7 @@ class Gas:
     ramp : (time [s], U_0 [m/s]) pairs for a velocity that changes, linear in between and constant outside; the loop
         asks `inlet_at` before each gas step; empty: constant ``U_0``
     jet : Jet or None
-    drag : one of `DRAGS`
+    drag : one of `kncal.physics.drag.DRAGS`
     parcels_per_particle : 1, 8 or 27: parcels that share a particle's volume, for cells near the particle's size
     """
 

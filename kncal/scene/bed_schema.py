@@ -86,7 +86,7 @@ class GasTable(Table):
     U_0: GasSpeed = Field(0.0, description="superficial gas velocity [m/s]")
     ramp: list[_Point] = Field([], max_length=MOST_RAMP, description="[time [s], superficial velocity [m/s]] points")
     jet: JetTable | None = Field(None, description="[gas.jet] with x_low, x_high, velocity")
-    drag: Literal["ErgunWenYu", "PlessisMasliyah"] = Field("ErgunWenYu", description="name of the drag law")
+    drag: str = Field("ErgunWenYu", description="drag law: ErgunWenYu, PlessisMasliyah, or one that a package adds")
     parcels_per_particle: Literal[1, 8, 27] = Field(1, description="parcels that share a particle: 1, 8 or 27")
 
 

@@ -287,3 +287,58 @@ def test_no_file_names_a_machine_or_a_registry(repository):
         named = forbidden.search(text)
         assert named is None, f"{path} names {named.group()!r}"
         assert str(ROOT) not in text, f"{path} names the folder of this checkout"
+
+
+# --- a package that adds to kncal ----------------------------------------
+
+PLUGIN = """
+from dataclasses import replace
+from kncal.physics.drag import DRAGS, Drag
+from kncal.physics.laws import LAWS
+from kncal.physics.methods import METHODS
+
+LAW = replace(LAWS["tsuji"], name="my_law", title="Mine", liggghts="")
+METHOD = replace(METHODS["max_overlap"], name="my_method", kappa=lambda q: 2.0)
+DRAG = Drag(name="MyDrag", title="Stokes", source="Stokes (1851)", openfoam="SphereDrag",
+            per_slip=lambda eps, slip, d, rho, mu: 18.0 * mu / d**2)
+"""
+USE = """
+import kncal
+from kncal.physics.drag import DRAGS
+glass = kncal.Material(young=70e9, poisson=0.22, density=2500)
+beads = kncal.pair(glass, 1e-3)
+mine = kncal.calibrate(beads, v_0=0.5, e_n=0.9, law="my_law")
+assert mine.k_n == kncal.calibrate(beads, v_0=0.5, e_n=0.9, law="tsuji").k_n and mine.law == "my_law"
+assert kncal.calibrate(beads, v_0=0.5, e_n=0.9, method="my_method").kappa == 2.0
+assert DRAGS["MyDrag"].per_slip(1.0, 0.0, 1e-3, 1.2, 1.8e-5) == 18.0 * 1.8e-5 / 1e-3**2
+try:
+    kncal.calibrate(beads, v_0=0.5, e_n=0.9, law="mylaw")
+except kncal.InputError as error:
+    print(error)
+"""
+
+
+def test_an_installed_package_adds_a_law_a_method_and_a_drag_law(installed, tmp_path):
+    project = tmp_path / "plug"
+    project.mkdir()
+    (project / "plug.py").write_text(PLUGIN, encoding="utf-8")
+    points = {"laws": "my_law = 'plug:LAW'", "methods": "my_method = 'plug:METHOD'", "drags": "MyDrag = 'plug:DRAG'"}
+    text = "[build-system]\nrequires = ['hatchling']\nbuild-backend = 'hatchling.build'\n"
+    text += "[project]\nname = 'plug'\nversion = '1.5'\n[tool.hatch.build]\ninclude = ['plug.py']\n"
+    text += "".join(f"[project.entry-points.'kncal.{group}']\n{line}\n" for group, line in points.items())
+    (project / "pyproject.toml").write_text(text, encoding="utf-8")
+    flags = ["--quiet", "--no-deps", "--no-index", "--no-build-isolation"]
+    succeed([installed / "python", "-m", "pip", "install", *flags, project], tmp_path)
+    try:
+        assert "did you mean 'my_law'" in succeed([installed / "python", "-c", USE], tmp_path)
+        found = json.loads(succeed([installed / "kncal", "laws", "--json"], tmp_path))
+        added = {kind: [(e["name"], e["package"]) for e in entries if e["package"]] for kind, entries in found.items()}
+        assert added == {
+            "laws": [("my_law", "plug 1.5")],
+            "methods": [("my_method", "plug 1.5")],
+            "drags": [("MyDrag", "plug 1.5")],
+        }
+        flags = ["--young", "70e9", "--density", "2500", "--radius", "1e-3", "--v0", "0.5", "--en", "0.9"]
+        assert "my_law" in succeed([installed / "kncal", "kn", *flags, "--law", "my_law"], tmp_path)
+    finally:
+        succeed([installed / "python", "-m", "pip", "uninstall", "--quiet", "--yes", "plug"], tmp_path)

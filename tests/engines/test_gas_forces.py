@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 
 from kncal.core.errors import InputError, RunError
 from kncal.engines.dpmfoam.case import check_setup
-from kncal.engines.dpmfoam.forces import Exchange, Parcels, drag_density, satellite_offsets
+from kncal.engines.dpmfoam.forces import Exchange, Parcels, satellite_offsets
 from kncal.engines.dpmfoam.grid import Grid
+from kncal.physics.drag import DRAGS
 from kncal.record.steps import GasStep
 from kncal.scene.bed_scene import Jet
 
@@ -155,7 +156,7 @@ def test_a_diverged_gas_is_refused() -> None:
 @given(st.floats(0.35, 0.79), st.floats(0.0, 5.0))
 def test_dense_drag_is_ergun(eps: float, U_0: float) -> None:
     # Force balance of a homogeneous bed: the pressure gradient carries all particles' drag, and model B's includes it.
-    beta = float(drag_density("ErgunWenYu", np.array(eps), np.array(U_0 / eps), np.array(columns.D), 1.2, 1.8e-5))
+    beta = float(DRAGS["ErgunWenYu"].per_slip(np.array(eps), np.array(U_0 / eps), np.array(columns.D), 1.2, 1.8e-5))
     ergun = 150.0 * (1 - eps) ** 2 * 1.8e-5 * U_0 / (eps**3 * columns.D**2)
     ergun += 1.75 * (1 - eps) * 1.2 * U_0**2 / (eps**3 * columns.D)
     assert (1.0 - eps) * beta * U_0 / eps == pytest.approx(ergun, rel=1e-12)
@@ -164,16 +165,16 @@ def test_dense_drag_is_ergun(eps: float, U_0: float) -> None:
 def test_limits_of_the_drag_laws() -> None:
     d, still = np.array(columns.D), np.array(0.0)
     stokes = 18.0 * columns.MU / columns.D**2
-    assert drag_density("ErgunWenYu", np.array(1.0), still, d, 1.2, columns.MU) == pytest.approx(stokes, rel=1e-12)
+    assert DRAGS["ErgunWenYu"].per_slip(np.array(1.0), still, d, 1.2, columns.MU) == pytest.approx(stokes, rel=1e-12)
     # Published as A = 180 to 207 and B = 1.8 to 1.9 for packed grains, against Ergun's 150 and 1.75
     eps = np.array(0.42)
     unit = columns.MU / (0.42 * columns.D**2)
-    A = drag_density("PlessisMasliyah", eps, still, d, 1.2, columns.MU) / unit * 0.42 / 0.58
+    A = DRAGS["PlessisMasliyah"].per_slip(eps, still, d, 1.2, columns.MU) / unit * 0.42 / 0.58
     assert 175.0 < A < 210.0
     fast = np.array(1e7)
-    B = drag_density("PlessisMasliyah", eps, fast, d, 1.2, columns.MU) / unit / (1.2 * 1e7 * columns.D / columns.MU)
+    B = DRAGS["PlessisMasliyah"].per_slip(eps, fast, d, 1.2, columns.MU) / unit / (1.2 * 1e7 * columns.D / columns.MU)
     assert 1.7 < B < 1.95
-    assert np.isfinite(drag_density("PlessisMasliyah", np.array(1.0), np.array(1.0), d, 1.2, columns.MU))
+    assert np.isfinite(DRAGS["PlessisMasliyah"].per_slip(np.array(1.0), np.array(1.0), d, 1.2, columns.MU))
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from kncal.scene.bed_case_checks import _too_close
 from kncal.scene.bed_case_file import dump_bed, load_bed, parse_bed
 from kncal.scene.bed_metrics import BED_METRICS
 from kncal.scene.bed_needs import decide
-from kncal.scene.bed_scene import DEPTHS, DRAGS, PACKINGS, PARCELS, BedScene, Gas, Jet
+from kncal.scene.bed_scene import DEPTHS, PACKINGS, PARCELS, BedScene, Gas, Jet
 from kncal.scene.bed_schema import BedParticlesTable, ColumnTable, GasTable
 from kncal.scene.case_file import load_case, load_scene, shipped_cases
 from kncal.scene.scene import Scene
@@ -221,7 +221,6 @@ def test_the_choices_of_the_schema_are_those_of_the_scene():
     fields = {
         (ColumnTable, "front_back"): DEPTHS,
         (BedParticlesTable, "packing"): PACKINGS,
-        (GasTable, "drag"): DRAGS,
         (GasTable, "parcels_per_particle"): PARCELS,
     }
     for (table, name), choices in fields.items():

@@ -20,8 +20,9 @@ from kncal.core.templating import render
 from kncal.engines.coupling import GasSetup
 from kncal.engines.dpmfoam.decomposed import CWD, divisions
 from kncal.engines.dpmfoam.grid import Grid
+from kncal.physics.drag import DRAGS
 from kncal.record.openfoam import fatal_error, read_cells, refuse_code, set_patch_vector
-from kncal.scene.bed_scene import DEPTHS, DRAGS, PARCELS
+from kncal.scene.bed_scene import DEPTHS, PARCELS
 
 SOLVER, MESHER = "DPMFoam", "blockMesh"
 INLET, OUTLET = "inlet", "outlet"
@@ -198,7 +199,7 @@ def check_setup(setup: GasSetup) -> None:
     positive("step", setup.step, unit="s")
     in_range("gravity", setup.gravity, 0.0, 1e3, unit="m/s²", hint="it points down, give its size")
     in_range("inlet", setup.inlet, 0.0, 1e3, unit="m/s")
-    one_of("drag", setup.drag, DRAGS)
+    DRAGS.find(setup.drag)
     one_of("walls", setup.walls, WALLS)
     one_of("front_back", setup.front_back, DEPTHS)
     if setup.parcels_per_particle not in PARCELS:
@@ -241,7 +242,7 @@ def case_context(setup: GasSetup) -> dict[str, object]:
         "nu": setup.viscosity / setup.density,
         "gravity": [0.0, 0.0, -setup.gravity],
         "step": setup.step,
-        "drag": setup.drag,
+        "drag": DRAGS.find(setup.drag).openfoam,
         "solids_max": SOLIDS_MAX,
     }
 

@@ -28,7 +28,7 @@ from kncal.core.checks import Array
 from kncal.core.errors import RunError
 from kncal.engines.coupling import GasSetup
 from kncal.engines.dpmfoam.grid import Grid, Labels
-from kncal.physics.fluidization import drag_per_slip
+from kncal.physics.drag import DRAGS
 from kncal.record.steps import GasFields, GasStep
 
 
@@ -206,7 +206,8 @@ class Exchange:
         x, y, z = _rows(self.U_old).take(cell, axis=1) - _rows(parcels.v)
         slip = np.sqrt(x * x + y * y + z * z)
         d = parcels.diameter
-        b = parcels.weight * d**3 * drag_density(setup.drag, eps_g.take(cell), slip, d, setup.density, setup.viscosity)
+        per_slip = DRAGS[setup.drag].per_slip
+        b = parcels.weight * d**3 * per_slip(eps_g.take(cell), slip, d, setup.density, setup.viscosity)
         share: Array = b / np.bincount(cell, b, self.grid.count).take(cell)
         return share
 
@@ -214,30 +215,6 @@ class Exchange:
 def _rows(vectors: Array) -> Array:
     """Return (n, 3) vectors as (3, n) contiguous rows."""
     return np.ascontiguousarray(vectors.T)
-
-
-def drag_density(law: str, eps_g: Array, slip: Array, diameter: Array, density_gas: float, viscosity: float) -> Array:
-    """Return the drag on a particle per its volume and per slip velocity [kg/(m³ s)], as DPMFoam computes it.
-
-    Parameters
-    ----------
-    law : str
-        "ErgunWenYu": see `kncal.physics.fluidization.particle_drag`. "PlessisMasliyah": du Plessis and Masliyah,
-        Transport in
-        Porous Media 3 (1988) 145-161, a theory of flow through grains from dense to dilute, with the constant 26.8.
-    eps_g, slip, diameter : array
-        Void fraction [-], speed of the gas relative to the particle [m/s], diameter [m]; same shape.
-    density_gas, viscosity : float
-        [kg/m³], [Pa s].
-    """
-    if law == "ErgunWenYu":
-        return drag_per_slip(eps_g, slip, diameter, density_gas, viscosity)
-    Re = density_gas * slip * diameter / viscosity
-    s = np.cbrt(1.0 - eps_g)  # the side of the cube that stands for the grain in a unit cell
-    # f = A (1 - eps)/eps + B Re, with the (1 - eps) of A's denominator cancelled: it has a limit at eps = 1.
-    viscous = 26.8 * eps_g**2 * s / ((1.0 - s) * (1.0 - s**2) ** 2)
-    inertial = eps_g**2 * Re / (1.0 - s**2) ** 2
-    return np.asarray((viscous + inertial) * viscosity / (eps_g * diameter**2))
 
 
 def satellite_offsets(count: int) -> Array:

@@ -10,8 +10,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 from kncal.core.checks import one_of
+from kncal.physics.drag import DRAGS
 from kncal.scene.bed_needs import decide as decide_bed
-from kncal.scene.bed_scene import DRAGS, PARCELS, BedScene
+from kncal.scene.bed_scene import PARCELS, BedScene
 from kncal.scene.limits import FEWEST_FRAMES
 from kncal.scene.needs import Needs, decide, untouched_walls
 from kncal.scene.scene import ContactChoice, Scene
