@@ -17,10 +17,6 @@ TODAY = {
     ("observe.impact_speeds", "report.plots"),
     ("observe.invariants", "engines.loop"),
     ("observe.softness", "study.trade.base"),
-    ("scene.packing", "engines.base"),
-    ("scene.packing", "engines.liggghts.deck"),
-    ("scene.packing", "engines.liggghts.library"),
-    ("scene.packing", "runs.resume"),
 }
 
 

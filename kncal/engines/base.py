@@ -18,6 +18,8 @@ FRAMES = "particles.dump"
 
 #: Called while a run goes on with (steps done, steps in all).
 Progress = Callable[[int, int], None]
+#: Called with a sentence about what is done.
+Tell = Callable[[str], None]
 
 
 @dataclass(frozen=True, kw_only=True)

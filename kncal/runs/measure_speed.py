@@ -14,10 +14,10 @@ from typing import Any, TypeVar
 from kncal.core.errors import CaseFileError, RunError
 from kncal.core.files import write_json
 from kncal.core.units import quantity
+from kncal.engines.base import Tell
 from kncal.observe.impact_speeds import STATISTICS, ImpactSpeeds, StiffnessAt, plot_impact_speeds
 from kncal.runs.folder import MEASURING, refuse_foreign
 from kncal.runs.impact_speeds import RunSpeeds, run_speeds
-from kncal.runs.resume import Tell
 from kncal.runs.solving import engine_for, guessed_speed, trial
 from kncal.runs.workflow import require_completed, run_case
 from kncal.scene.bed_scene import BedScene

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from kncal.core.errors import ReadError
+from kncal.engines.base import Tell
 from kncal.record.outcome import RunResult
 from kncal.runs.folder import read_manifest, read_result, set_aside
 from kncal.runs.records import RESULT, STARTED
-
-#: Called with a sentence for the user.
-Tell = Callable[[str], None]
 
 #: What must be the same for a result to be that of this run: manifest key -> what a user calls it.
 _IDENTITY: Mapping[str, str] = {

@@ -17,12 +17,13 @@ from kncal.core.errors import CaseFileError, InputError, ReadError
 from kncal.core.shipped import cache_folder
 from kncal.core.shipped import folder as shipped_folder
 from kncal.core.templating import render
-from kncal.engines.base import Engine, Progress
+from kncal.engines.base import Engine, Progress, Tell
 from kncal.engines.checkpoint import GAS, PARTICLES, last_checkpoint
 from kncal.engines.coupled import Coupled, check_bed_ranks
 from kncal.engines.dpmfoam.case import write_case
 from kncal.engines.liggghts.deck import DATA, DECK, bed_deck, write_deck
 from kncal.engines.loop import gas_setup
+from kncal.engines.settle import packing, to_settle
 from kncal.observe.bed_compare import BedRunData
 from kncal.observe.compare import RunData
 from kncal.observe.contacts import observe
@@ -31,14 +32,12 @@ from kncal.record.outcome import RunResult
 from kncal.record.series import read_series, series_reaches, write_series_csv
 from kncal.runs.folder import PIECES, SERIES, Schedule
 from kncal.runs.records import RESULT
-from kncal.runs.resume import Tell
 from kncal.scene.bed_limits import findings_of
 from kncal.scene.bed_model import BedModel
 from kncal.scene.bed_planning import plan_bed
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.limits import warnings_of as scene_warnings
 from kncal.scene.model import Model
-from kncal.scene.packing import packing, to_settle
 from kncal.scene.plan import first_impact_speed, plan
 from kncal.scene.scene import Scene
 
@@ -290,7 +289,7 @@ def solving(scene: Scene | BedScene, engine: Engine | Coupled, *, by_hand: bool 
 def start_positions(scene: BedScene, *, tell: Tell | None = None, progress: Progress | None = None) -> Array:
     """Return the centres (n, 3) [m] at the start, the same for both models (the packing is cached by its inputs).
 
-    ``tell``, ``progress``: see `kncal.scene.packing.packing`.
+    ``tell``, ``progress``: see `kncal.engines.settle.packing`.
     """
     if scene.particles.count == 0:
         return np.zeros((0, 3))

@@ -22,7 +22,7 @@ from kncal.core.errors import (
 )
 from kncal.core.files import write_json
 from kncal.core.scratch import scratch
-from kncal.engines.base import Engine, Progress
+from kncal.engines.base import Engine, Progress, Tell
 from kncal.engines.coupled import Coupled
 from kncal.observe.bed_compare import BedComparison, BedRunData, compare_beds
 from kncal.observe.compare import Comparison, RunData, compare
@@ -37,7 +37,7 @@ from kncal.runs.folder import (
     write_result,
 )
 from kncal.runs.records import MANIFEST, RESULT
-from kncal.runs.resume import Earlier, Tell, take_up
+from kncal.runs.resume import Earlier, take_up
 from kncal.runs.solving import (
     PACKING,
     Bed,

@@ -46,7 +46,7 @@ from kncal.engines.dpmfoam.live import LiveGas
 from kncal.engines.loop import Progress, gas_setup
 from kncal.scene.bed_model import BedModel
 from kncal.scene.bed_planning import plan_bed
-from kncal.scene.packing import lattice
+from kncal.scene.placement import lattice
 
 ROUNDS = 3
 

@@ -42,11 +42,11 @@ from kncal.engines.liggghts import library_child as dem_child
 from kncal.engines.liggghts.deck import DECK, bed_deck, write_deck
 from kncal.engines.liggghts.impacts import Before
 from kncal.engines.liggghts.library import middle, sides
+from kncal.engines.settle import packing
 from kncal.record.openfoam import write_parcel_constants, write_parcel_motion
 from kncal.scene.bed_case_file import load_bed
 from kncal.scene.bed_model import BedModel
 from kncal.scene.bed_planning import plan_bed
-from kncal.scene.packing import packing
 
 #: Couplings in a block: short against the drift of a shared machine, long against the clock.
 BLOCK = 5

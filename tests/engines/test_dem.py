@@ -24,7 +24,7 @@ from kncal.engines.liggghts.deck import bed_deck, deck_text
 from kncal.engines.liggghts.library import LOG, LiggghtsDem
 from kncal.scene.bed_model import BedModel
 from kncal.scene.model import KINDS
-from kncal.scene.packing import lattice
+from kncal.scene.placement import lattice
 from kncal.scene.scene import ContactChoice
 
 solver = pytest.mark.solver
@@ -420,7 +420,7 @@ def test_two_particles_in_one_place(tmp_path: Path, nothing_left: object) -> Non
 def test_the_child_dies_with_its_parent(tmp_path: Path) -> None:
     """Also in the middle of a run, when it does not listen."""
     program = (
-        "import sys; from pathlib import Path; from beds import *; from kncal.scene.packing import lattice\n"
+        "import sys; from pathlib import Path; from beds import *; from kncal.scene.placement import lattice\n"
         "from kncal.engines.liggghts.library import LiggghtsDem\n"
         "bed = scene(400); dem = LiggghtsDem(model(bed), Path(sys.argv[1]), lattice(bed))\n"
         "print(dem.pid, flush=True); dem.run(10_000_000, still(bed))\n"

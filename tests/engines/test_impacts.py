@@ -16,7 +16,7 @@ from kncal.engines.liggghts.impacts import Before, count_speeds, pair_speeds, sp
 from kncal.engines.liggghts.library import LiggghtsDem
 from kncal.engines.liggghts.library_child import WATCH_EVERY
 from kncal.scene.model import KINDS
-from kncal.scene.packing import lattice
+from kncal.scene.placement import lattice
 from kncal.scene.scene import ContactChoice
 
 solver = pytest.mark.solver

@@ -16,9 +16,10 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from kncal.core.errors import InputError, RunError
+from kncal.engines import settle as packing_module
 from kncal.engines.liggghts.library import LiggghtsDem
-from kncal.scene import packing as packing_module
-from kncal.scene.packing import PACKINGS, lattice, packing
+from kncal.engines.settle import packing
+from kncal.scene.placement import PLACEMENTS, lattice
 from kncal.scene.scene import ContactChoice
 
 solver = pytest.mark.solver
@@ -79,7 +80,7 @@ def test_given_positions() -> None:
         packing(model(scene(3, packing="given", positions=places)))
     with pytest.raises(InputError, match="packing"):
         packing(model(scene(3, packing="heap")))
-    assert set(PACKINGS) == {"settled", "lattice", "given"}
+    assert set(PLACEMENTS) == {"settled", "lattice", "given"}
 
 
 def test_what_cannot_settle() -> None:

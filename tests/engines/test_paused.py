@@ -26,7 +26,7 @@ from kncal.engines.liggghts import library as dem_module
 from kncal.engines.liggghts.diagnose import diagnose_liggghts
 from kncal.engines.liggghts.library import LiggghtsDem
 from kncal.runs.states import ADVICE
-from kncal.scene.packing import lattice
+from kncal.scene.placement import lattice
 
 pytestmark = pytest.mark.solver
 
@@ -41,7 +41,7 @@ from pathlib import Path
 import kncal.engines.liggghts.library as dem_module
 from beds import model, scene, still
 from gas_columns import setup
-from kncal.scene.packing import lattice
+from kncal.scene.placement import lattice
 from kncal.engines.dpmfoam.adapter_build import find
 from kncal.engines.liggghts.library import LiggghtsDem
 from kncal.engines.dpmfoam.live import LiveGas

@@ -201,7 +201,7 @@ def test_a_killed_gas_solver_is_a_failed_run_and_leaves_nothing(tmp_path):
                 os.kill(pid, signal.SIGKILL)
                 killed.append(pid)
 
-    from kncal.scene.packing import lattice
+    from kncal.scene.placement import lattice
 
     before = _children("python")
     started = time.monotonic()
@@ -218,7 +218,7 @@ def test_what_closing_says_does_not_hide_why_a_run_ended(tmp_path):
     """DPMFoam is killed and Ctrl-C comes: closing a dead solver is an error of its own, but the run was interrupted."""
     if find() is None:
         pytest.skip("the adapter of the live transport is not built: kncal adapter build")
-    from kncal.scene.packing import lattice
+    from kncal.scene.placement import lattice
 
     scene, folder = mini(1.0), tmp_path / "linear"
     folder.mkdir()

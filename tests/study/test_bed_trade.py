@@ -12,12 +12,12 @@ import pytest
 from compared_beds import SCENE, run_data
 
 from kncal.engines.loop import REACTION_LIMIT
+from kncal.engines.settle import to_settle
 from kncal.observe.bed_compare import compare_beds, observed
 from kncal.runs.workflow import load_bed_run
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import dump_case, load_case
 from kncal.scene.load import bottom_overlaps
-from kncal.scene.packing import to_settle
 from kncal.study import Variant
 from kncal.study.trade import bed, bed_runs
 from kncal.study.trade.base import Candidate, TradeOptions
@@ -213,8 +213,8 @@ def test_a_stiff_bed_at_rest_is_settled_by_a_softer_spring():
 @pytest.mark.parametrize("count", [300, 20_000])
 def test_all_candidates_settle_alike_however_many_particles_there_are(tmp_path, count):
     """A packing is found by a hash of what it depends on: the contact that is tried is not among that."""
+    from kncal.engines.settle import _key
     from kncal.scene.bed_planning import plan_bed
-    from kncal.scene.packing import _key
 
     scene = load_case("packed_bed")
     column = replace(scene.column, height=scene.column.height * max(count / scene.particles.count, 1.0))

@@ -1,4 +1,4 @@
-"""Where the particles of a bed are at the start: a loose lattice, let down by LIGGGHTS, or given."""
+"""Settled packings: particles on a loose lattice are let down by LIGGGHTS, once for all runs of a bed."""
 
 from __future__ import annotations
 
@@ -15,29 +15,24 @@ from dataclasses import replace
 from datetime import timedelta
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from kncal.core.arrays import read_npz
 from kncal.core.awake import awake
-from kncal.core.checks import Array, one_of
+from kncal.core.checks import Array
 from kncal.core.errors import InputError, ReadError, RunError
 from kncal.core.files import replacing, sweep_parts
 from kncal.core.scratch import scratch
 from kncal.core.stopping import check_stop
-from kncal.engines.base import Progress
-from kncal.runs.resume import Tell
+from kncal.engines.base import Progress, Tell
+from kncal.engines.liggghts.deck import bed_deck, data_text, deck_text
+from kncal.engines.liggghts.library import LiggghtsDem
 from kncal.scene.bed_model import BedModel
 from kncal.scene.bed_scene import BedScene
+from kncal.scene.placement import PLACEMENTS
 from kncal.scene.plan import MOST_STEPS
 
-if TYPE_CHECKING:
-    from kncal.engines.liggghts.library import LiggghtsDem
-
-PACKINGS = ("settled", "lattice", "given")
-#: Lattice spacing and the largest random offset on each axis, in diameters: 1.12 - 2 x 0.04 > 1, so none overlap.
-SPACING, OFFSET = 1.12, 0.04
 #: Settled: mean kinetic energy of a particle below this share of m g d, ...
 RESTING = 1e-5
 _MOST_BYTES = 1 << 27  # of a saved packing: a million particles take 24 MB
@@ -49,60 +44,6 @@ PATIENCE = 40.0
 _USUAL = 20  # looks from the end of the fall to rest: measured 12 to 37, for 500 and 3000 particles of e_n 0.5 to 0.97
 _PART = 4_000_000  # particles times steps between two words about progress: a second or two
 _LONG = 10.0  # s; how long it takes is said if it is more
-
-
-def lattice(scene: BedScene) -> Array:
-    """Return centres (n, 3) [m] on a loose cubic lattice with small random offsets, filled from the floor up.
-
-    No two particles touch, nor a wall. In a layer all are exactly in the middle plane.
-
-    Raises
-    ------
-    InputError
-        If the column is too small for them.
-    """
-    column, particles = scene.column, scene.particles
-    d, n = particles.diameter, particles.count
-    layer = column.front_back == "layer"
-    sides = [_Sites.of(column.width, d), _Sites.of(column.depth, d, periodic=column.front_back == "periodic")]
-    sides.append(_Sites.of(column.height, d))
-    if layer:
-        sides[1] = _Sites(1, 0.5 * column.depth, 0.0)
-    room = math.prod(side.number for side in sides)
-    if room < n:
-        raise InputError(
-            f"{scene.name}: a loose lattice of the column {column.width:g} x {column.depth:g} x {column.height:g} m "
-            f"has {room} places, the bed {n} particles: expected a larger column (height) or fewer particles"
-        )
-    # only the places that are taken: a large column has more of them than fit into memory
-    grid, rest = np.empty((n, 3)), np.arange(n)
-    for axis, side in enumerate(sides):
-        rest, place = np.divmod(rest, min(side.number, n))
-        grid[:, axis] = side.first + side.spacing * place
-    offset = np.random.default_rng(particles.seed).uniform(-OFFSET * d, OFFSET * d, (n, 3))
-    if layer:
-        offset[:, 1] = 0.0
-    return np.ascontiguousarray(grid + offset)
-
-
-class _Sites(NamedTuple):
-    """Lattice sites along one side: their number, the first [m] and the spacing [m]."""
-
-    number: int
-    first: float
-    spacing: float
-
-    @classmethod
-    def of(cls, length: float, d: float, *, periodic: bool = False) -> _Sites:
-        """Return the sites along a side of ``length`` [m], with the offset's room at both ends."""
-        if periodic:
-            number = math.floor(length / (SPACING * d))
-            first, spacing = 0.5 * length / max(number, 1), length / max(number, 1)
-        else:
-            free = length - (1.0 + 2.0 * OFFSET) * d
-            number = math.floor(free / (SPACING * d)) + 1 if free >= 0.0 else 0
-            first, spacing = (0.5 + OFFSET) * d, SPACING * d
-        return cls(number, first, spacing)
 
 
 def to_settle(scene: BedScene) -> BedScene:
@@ -141,11 +82,9 @@ def packing(
         If LIGGGHTS fails, or the particles do not come to rest.
     """
     scene = model.scene
-    kind = one_of("packing", scene.particles.packing, PACKINGS)
-    if kind == "given":
-        return _given(scene)
-    start = lattice(scene)
-    if kind == "lattice":
+    placement = PLACEMENTS.find(scene.particles.packing)
+    start = placement.place(scene)
+    if not placement.settles:
         return start
     if model.kind != "linear":
         raise InputError(f"{scene.name}: packing of the {model.kind!r} model, expected the linear one")
@@ -181,24 +120,11 @@ def _only_one(path: Path) -> Iterator[None]:
         yield
 
 
-def _given(scene: BedScene) -> Array:
-    particles = scene.particles
-    positions = np.array(particles.positions, dtype=np.float64)
-    if positions.shape != (particles.count, 3) or not np.isfinite(positions).all():
-        raise InputError(
-            f"{scene.name}: positions of shape {positions.shape}: expected ({particles.count}, 3) finite numbers, "
-            "x, y, z for each particle"
-        )
-    return positions
-
-
 def _silent(_: str) -> None:
     pass
 
 
 def _settle(model: BedModel, start: Array, tell: Tell, progress: Progress | None) -> Array:
-    from kncal.engines.liggghts.library import LiggghtsDem
-
     scene = model.scene
     d, g = scene.particles.diameter, scene.gravity
     fall = math.sqrt(2.0 * float(start[:, 2].max()) / g)
@@ -281,8 +207,6 @@ class _Said:
 
 def _key(model: BedModel, start: Array) -> str:
     """Return a hash of all that a settled packing depends on."""
-    from kncal.engines.liggghts.deck import bed_deck, data_text, deck_text
-
     deck = bed_deck(model, start)
     assert deck.start is not None  # noqa: S101  # it was given
     inputs = [deck_text(deck), data_text(deck, deck.start), RESTING, PATIENCE]
