@@ -18,6 +18,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[2]
 HEAVY = ("scipy", "pandas", "pyvista", "vtk", "vtkmodules", "matplotlib", "meshio")
 

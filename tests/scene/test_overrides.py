@@ -140,6 +140,7 @@ def kncal(capsys, *arguments):
     return stop.value.code, out, err
 
 
+@pytest.mark.slow
 def test_every_command_that_runs_a_case_takes_set(capsys, tmp_path):
     more = ("--set", "contact.e_n=0.5", "--set", "particles.sphere.velocity=[0, 0, -2.0]")
     code, out, _ = kncal(capsys, "kn", "wall_impact", *more, "--json")
