@@ -13,9 +13,7 @@ ROOMS = ("core", "physics", "scene", "record", "engines", "observe", "report", "
 FORBIDDEN = {("observe", "engines"), ("report", "engines"), ("study", "exchange")}
 #: Imports that still point the wrong way; the list only gets shorter.
 TODAY = {
-    ("engines.coupled", "cli.machine"),
     ("observe.impact_speeds", "report.plots"),
-    ("observe.invariants", "engines.loop"),
     ("observe.softness", "study.trade.base"),
 }
 

@@ -10,25 +10,22 @@ import os
 import platform
 import re
 import shutil
-import signal
-import subprocess
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 
-from kncal.core.awake import communicate
 from kncal.core.errors import KncalError
+from kncal.core.installed import SOLVER_LIMIT, Finding, ask, ask_version, last_line
 from kncal.core.mpi import MPIRUN, run_ranks
-from kncal.core.process import solver_environment
 from kncal.core.scratch import scratch
 from kncal.core.shipped import folder
+from kncal.engines.dpmfoam import installed as openfoam
+from kncal.engines.liggghts import installed as liggghts
 
-#: Seconds that a solver may take to say its version (it takes about one), and rendering to draw one sphere.
-SOLVER_LIMIT = 5.0
+#: Seconds that rendering may take to draw one sphere.
 RENDER_LIMIT = 8.0
 
 #: Free space that a run with its recorded frames and report should have [bytes].
@@ -45,26 +42,6 @@ print("drawn by", plotter.render_window.GetClassName())
 """
 
 
-@dataclass(frozen=True, kw_only=True)
-class Finding:
-    """One thing looked for on this machine.
-
-    Attributes
-    ----------
-    name : what was looked for
-    ok : whether it is there and fit for use
-    found : version and place, or what is wrong
-    needed_for : what does not work without it
-    hint : how to mend it, empty if ``ok``
-    """
-
-    name: str
-    ok: bool
-    found: str
-    needed_for: str
-    hint: str = ""
-
-
 def examine() -> list[Finding]:
     """Look at this machine; takes less than 10 s.
 
@@ -73,7 +50,7 @@ def examine() -> list[Finding]:
     list of Finding
         Python, packages, solvers, rendering, disk (of the working folder), shipped files, temporary folder.
     """
-    slow: list[Callable[[], Finding]] = [_liggghts, _openfoam, _mpirun, _rendering, _slurm]
+    slow: list[Callable[[], Finding]] = [liggghts.look, openfoam.look, _mpirun, _rendering, _slurm]
     with ThreadPoolExecutor(len(slow)) as pool:
         started = [pool.submit(look) for look in slow]
         quick = [_python(), *_packages(), _dask(), _adapter()]
@@ -86,11 +63,6 @@ def examine() -> list[Finding]:
         _shipped("templates", "*.j2", "writing solver input and reports"),
         _temporary_folder(),
     ]
-
-
-def solver_findings() -> tuple[Finding, Finding]:
-    """Look for LIGGGHTS and OpenFOAM only."""
-    return _liggghts(), _openfoam()
 
 
 def _adapter() -> Finding:
@@ -185,51 +157,19 @@ def _slurm() -> Finding:
     if path is None:
         hint = "only on a cluster with Slurm: work on a node where jobs are submitted"
         return Finding(name="Slurm", ok=False, found="no sbatch on PATH", needed_for=needed_for, hint=hint)
-    failure, text = _ask(["sinfo", "--noheader", "--format=%R"], SOLVER_LIMIT, os.environ)
+    failure, text = ask(["sinfo", "--noheader", "--format=%R"], SOLVER_LIMIT, os.environ)
     if failure:
-        found = f"{path}, but sinfo {failure}: {_last_line(text)}"
+        found = f"{path}, but sinfo {failure}: {last_line(text)}"
         hint = "see that slurm.conf (SLURM_CONF) is the cluster's, and that its controller runs"
         return Finding(name="Slurm", ok=False, found=found, needed_for=needed_for, hint=hint)
-    _, version = _ask([path, "--version"], SOLVER_LIMIT, os.environ)
+    _, version = ask([path, "--version"], SOLVER_LIMIT, os.environ)
     queues = ", ".join(sorted({line.strip() for line in text.splitlines() if line.strip()}))
-    found = f"{_last_line(version).removeprefix('slurm ')} ({path}), partitions: {queues[:200] or 'none'}"
+    found = f"{last_line(version).removeprefix('slurm ')} ({path}), partitions: {queues[:200] or 'none'}"
     return Finding(name="Slurm", ok=True, found=found, needed_for=needed_for)
 
 
-def _liggghts() -> Finding:
-    from kncal.engines.liggghts.batch import VERSION
-
-    # `-log none` keeps it from writing a log; an empty deck makes it print its banner and end.
-    return _program(
-        "liggghts",
-        ["-log", "none"],
-        r"Version LIGGGHTS-PUBLIC ([0-9][\w.]*)",
-        wanted=VERSION,
-        title="LIGGGHTS",
-        needed_for="--engine liggghts (the engine builtin needs no solver)",
-        package="liggghts",
-    )
-
-
-def _openfoam() -> Finding:
-    finding = _program(
-        "DPMFoam",
-        ["-help"],
-        r"Using:\s+OpenFOAM\S*\s+\((\w+)\)[^\n]*(?:\nBuild:\s+(\S+))?",
-        wanted="1912",
-        title="OpenFOAM",
-        needed_for="cases with gas; contact scenes do not need it",
-        package="openfoam",
-    )
-    given = os.environ.get("WM_PROJECT_DIR")
-    if finding.ok or not given:
-        return finding
-    # The usual reason: without the settings in that folder none of its programs starts.
-    return replace(finding, hint=f"unset WM_PROJECT_DIR (it is {given}), or: {finding.hint}")
-
-
 def _mpirun() -> Finding:
-    finding = _program(
+    finding = ask_version(
         MPIRUN,
         ["--version"],
         r"mpirun \(Open MPI\) ([0-9][\w.]*)",
@@ -262,40 +202,11 @@ def _two_ranks() -> str:
     if start.returncode == 0:
         return ""
     how = f"signal {start.signal}" if start.returncode is None else f"code {start.returncode}"
-    return f"ended with {how}: {_last_line(chr(10).join(start.last_lines))}"
-
-
-def _program(
-    program: str,
-    arguments: list[str],
-    pattern: str,
-    *,
-    wanted: str | None,
-    title: str,
-    needed_for: str,
-    package: str,
-) -> Finding:
-    """Start ``program`` and find its version by ``pattern`` (group 1; group 2, if any, is the build)."""
-    mend = f"apt-get install {package}"
-    path = shutil.which(program)
-    if path is None:
-        return Finding(name=title, ok=False, found=f"no {program} on PATH", needed_for=needed_for, hint=mend)
-    failure, text = _ask([path, *arguments], SOLVER_LIMIT, solver_environment())
-    match = re.search(pattern, text)
-    if match is None or failure:
-        found = f"{path} {failure or 'does not say its version'}: {_last_line(text)}"
-        hint = f"start {path} by hand; if it is broken: {mend} --reinstall"
-        return Finding(name=title, ok=False, found=found, needed_for=needed_for, hint=hint)
-    version, *build = (group for group in match.groups() if group)
-    found = f"{' '.join([version, *build])} ({path})"
-    if wanted is not None and version != wanted:
-        hint = f"kncal is written for version {wanted}, that of Debian 12: {mend}"
-        return Finding(name=title, ok=False, found=found, needed_for=needed_for, hint=hint)
-    return Finding(name=title, ok=True, found=found, needed_for=needed_for)
+    return f"ended with {how}: {last_line(chr(10).join(start.last_lines))}"
 
 
 def _rendering() -> Finding:
-    failure, text = _ask([sys.executable, "-c", RENDER_PROBE], RENDER_LIMIT, os.environ)
+    failure, text = ask([sys.executable, "-c", RENDER_PROBE], RENDER_LIMIT, os.environ)
     drawn = None if failure else re.search(r"drawn by (\w+)", text)
     mend = "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri"
     if failure.startswith("gave no answer"):
@@ -303,7 +214,7 @@ def _rendering() -> Finding:
     return Finding(
         name="off-screen rendering",
         ok=drawn is not None,
-        found=drawn.group(1) if drawn else f"the trial {failure or 'drew nothing'}: {_last_line(text)}",
+        found=drawn.group(1) if drawn else f"the trial {failure or 'drew nothing'}: {last_line(text)}",
         needed_for="3-D pictures; diagrams do not need it",
         hint="" if drawn else mend,
     )
@@ -352,42 +263,3 @@ def _temporary_folder() -> Finding:
         needed_for="several ranks of a solver, and Python itself",
         hint="" if ok else "set TMPDIR to a folder that you can write to and that has room",
     )
-
-
-def _ask(command: list[str], limit: float, environment: Mapping[str, str]) -> tuple[str, str]:
-    """Run ``command`` with nothing to read; return how it failed (empty if it did not) and all it printed."""
-    with ExitStack() as stack:
-        try:
-            # Solvers that start side by side must not share Open MPI's folder: the first to end removes it.
-            session = stack.enter_context(scratch())
-            process = subprocess.Popen(  # noqa: S603 - an argument list, no shell, no text of a user
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                env={**environment, "OMPI_MCA_orte_tmpdir_base": str(session)},
-                start_new_session=True,
-            )
-        except OSError as error:
-            return "cannot be started", str(error)
-        stack.enter_context(process)
-        try:
-            output, _ = communicate(process, limit)
-            late = False
-        except subprocess.TimeoutExpired:
-            # The whole group: a grandchild that holds the pipe open would keep us waiting.
-            os.killpg(process.pid, signal.SIGKILL)
-            output, _ = process.communicate()
-            late = True
-    text = output.decode(errors="replace")
-    if late:
-        return f"gave no answer within {limit:g} s", text
-    if process.returncode < 0:
-        number = -process.returncode
-        return f"was ended by signal {number} ({signal.strsignal(number)})", text
-    return (f"ended with code {process.returncode}" if process.returncode else ""), text
-
-
-def _last_line(text: str) -> str:
-    lines = [line.strip() for line in text.splitlines() if line.strip()]
-    return "".join(c for c in lines[-1] if c.isprintable()) if lines else "it printed nothing"

@@ -19,6 +19,8 @@ from kncal.engines.base import Profile
 from kncal.engines.checkpoint import GAS, PARTICLES, last_checkpoint
 from kncal.engines.coupling import Dem, GasTransport
 from kncal.engines.dpmfoam.decomposed import divisions as check_divisions
+from kncal.engines.dpmfoam.installed import look as look_for_openfoam
+from kncal.engines.liggghts.installed import look as look_for_liggghts
 from kncal.engines.loop import CoupledCost, CoupledRun, Progress, gas_setup
 from kncal.record.outcome import RunResult
 from kncal.scene.bed_model import BedModel
@@ -98,9 +100,7 @@ class Coupled:
 
     def profile(self) -> Profile:
         """Look for both solvers on this machine."""
-        from kncal.cli.machine import solver_findings
-
-        liggghts, openfoam = solver_findings()
+        liggghts, openfoam = look_for_liggghts(), look_for_openfoam()
         missing = [f"{f.name} (found: {f.found}; {f.hint})" for f in (liggghts, openfoam) if not f.ok]
         missing += [NO_MPIRUN] if self.ranks > 1 and shutil.which(MPIRUN) is None else []
         program = shutil.which("DPMFoam")

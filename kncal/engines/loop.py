@@ -22,13 +22,9 @@ from kncal.engines.coupling import Dem, GasSetup, GasTransport
 from kncal.engines.interval import gas_interval
 from kncal.record.facts import bed_facts
 from kncal.record.series import SeriesWriter
-from kncal.record.steps import GasStep
+from kncal.record.steps import NOT_PASSED_LIMIT, REACTION_LIMIT, GasStep
 from kncal.scene.bed_model import BedModel
 
-#: Momentum booked on particles and on the gas may differ by this share of the bed's weight: rounding only.
-REACTION_LIMIT = 1e-10
-#: Momentum that the gas received and no particle was given, as a share of the weight.
-NOT_PASSED_LIMIT = 1e-3
 #: Seconds of wall time between checkpoints.
 CHECKPOINT_SECONDS = 60.0
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from kncal.core.checks import Array
-from kncal.engines.loop import NOT_PASSED_LIMIT, REACTION_LIMIT
 from kncal.observe.quantities import Quantities
 from kncal.record.series import BedSeries
+from kncal.record.steps import NOT_PASSED_LIMIT, REACTION_LIMIT
 from kncal.scene.bed_limits import COURANT_LARGEST
 
 #: Relative error of the solid volume in the void fraction field: rounding only, unless the solver's floor clips it.

@@ -9,6 +9,11 @@ from dataclasses import dataclass
 
 from kncal.core.checks import Array
 
+#: Momentum booked on particles and on the gas may differ by this share of the bed's weight: rounding only.
+REACTION_LIMIT = 1e-10
+#: Momentum that the gas received and no particle was given, as a share of the weight.
+NOT_PASSED_LIMIT = 1e-3
+
 
 @dataclass(frozen=True, kw_only=True)
 class GasStep:

@@ -17,6 +17,9 @@ import numpy as np
 import pytest
 
 from kncal.cli import machine as doctor
+from kncal.core import installed
+from kncal.engines.dpmfoam import installed as openfoam
+from kncal.engines.liggghts import installed as liggghts
 
 
 def finding(findings: list[doctor.Finding], name: str) -> doctor.Finding:
@@ -93,7 +96,7 @@ def test_finds_openfoam_without_its_environment(monkeypatch, given):
         monkeypatch.delenv("WM_PROJECT_DIR", raising=False)
     else:
         monkeypatch.setenv("WM_PROJECT_DIR", given)
-    found = doctor._openfoam()
+    found = openfoam.look()
     assert found.ok
     assert found.found.startswith("1912 (patch=")
 
@@ -102,7 +105,7 @@ def test_finds_openfoam_without_its_environment(monkeypatch, given):
 def test_wrong_openfoam_folder_is_named(monkeypatch, tmp_path):
     monkeypatch.setenv("WM_PROJECT_DIR", str(tmp_path))
     monkeypatch.setenv("HOME", str(tmp_path))
-    found = doctor._openfoam()
+    found = openfoam.look()
     assert not found.ok
     assert str(tmp_path) in found.hint
 
@@ -110,8 +113,8 @@ def test_wrong_openfoam_folder_is_named(monkeypatch, tmp_path):
 def test_machine_without_solvers(monkeypatch, tmp_path):
     monkeypatch.setenv("PATH", str(tmp_path))
     for look, package in (
-        (doctor._liggghts, "liggghts"),
-        (doctor._openfoam, "openfoam"),
+        (liggghts.look, "liggghts"),
+        (openfoam.look, "openfoam"),
         (doctor._mpirun, "openmpi-bin"),
     ):
         found = look()
@@ -133,9 +136,9 @@ def test_machine_without_solvers(monkeypatch, tmp_path):
 def test_broken_program_is_reported_in_time(monkeypatch, tmp_path, script, told):
     program(tmp_path, "liggghts", script)
     monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.setattr(doctor, "SOLVER_LIMIT", 0.5)
+    monkeypatch.setattr(installed, "SOLVER_LIMIT", 0.5)
     start = time.perf_counter()
-    found = doctor._liggghts()
+    found = liggghts.look()
     assert time.perf_counter() - start < 5.0
     assert not found.ok
     assert told in found.found
@@ -147,7 +150,7 @@ def test_program_that_cannot_be_started(monkeypatch, tmp_path):
     program(tmp_path, "liggghts", "")
     (tmp_path / "liggghts").write_text("#!/no/such/interpreter\n", encoding="utf-8")
     monkeypatch.setenv("PATH", str(tmp_path))
-    found = doctor._liggghts()
+    found = liggghts.look()
     assert not found.ok
     assert "cannot be started" in found.found
 
@@ -197,5 +200,5 @@ def test_python_is_the_one_that_runs(here):
 def test_solvers_that_are_asked_side_by_side_all_answer():
     """Open MPI's folder of a start goes with it: shared, about one start in 25 died of another's end."""
     with ThreadPoolExecutor(8) as pool:
-        answers = list(pool.map(lambda _: doctor._liggghts(), range(100)))
+        answers = list(pool.map(lambda _: liggghts.look(), range(100)))
     assert {(a.ok, a.found) for a in answers} == {(True, answers[0].found)}

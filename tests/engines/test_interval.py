@@ -10,7 +10,7 @@ from gas_columns import alike, needs_openfoam, packing, setup, weight
 
 from kncal.engines.dpmfoam.restart import RestartGas
 from kncal.engines.interval import gas_interval
-from kncal.engines.loop import NOT_PASSED_LIMIT, REACTION_LIMIT
+from kncal.record.steps import NOT_PASSED_LIMIT, REACTION_LIMIT
 
 pytestmark = needs_openfoam
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from compared_beds import SCENE, run_data
 
-from kncal.engines.loop import REACTION_LIMIT
 from kncal.engines.settle import to_settle
 from kncal.observe.bed_compare import compare_beds, observed
+from kncal.record.steps import REACTION_LIMIT
 from kncal.runs.workflow import load_bed_run
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import dump_case, load_case

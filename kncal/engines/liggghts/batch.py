@@ -17,6 +17,7 @@ from kncal.core.scratch import scratch
 from kncal.engines.base import FRAMES, Profile, Progress, read_frames, run_result
 from kncal.engines.liggghts.deck import DECK, scene_deck, write_deck
 from kncal.engines.liggghts.diagnose import Diagnosis, diagnose_liggghts
+from kncal.engines.liggghts.installed import VERSION
 from kncal.engines.tunnelling import PASSED_THROUGH, passages
 from kncal.record.frames import Trajectory
 from kncal.record.liggghts_log import step_of_line
@@ -25,8 +26,6 @@ from kncal.scene.model import Model
 
 PROGRAM = "liggghts"
 LOG = "log.liggghts"
-#: The version whose force laws, log and dumps kncal knows.
-VERSION = "3.8.0"
 LINEAR_STYLES = ("hooke/stiffness", "hooke")
 #: Line-buffered: the text of some errors would be lost otherwise. The runner writes the log.
 _COMMAND = ("stdbuf", "-oL", PROGRAM, "-in", DECK, "-log", "none")

@@ -1,0 +1,108 @@
+"""Whether a program is installed and which version it is, asked in a child process with a time limit: it may hang."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+
+from kncal.core.awake import communicate
+from kncal.core.process import solver_environment
+from kncal.core.scratch import scratch
+
+#: Seconds that a solver may take to say its version; it takes about one.
+SOLVER_LIMIT = 5.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """One thing looked for on this machine.
+
+    Attributes
+    ----------
+    name : what was looked for
+    ok : whether it is there and fit for use
+    found : version and place, or what is wrong
+    needed_for : what does not work without it
+    hint : how to mend it, empty if ``ok``
+    """
+
+    name: str
+    ok: bool
+    found: str
+    needed_for: str
+    hint: str = ""
+
+
+def ask_version(
+    program: str,
+    arguments: list[str],
+    pattern: str,
+    *,
+    wanted: str | None,
+    title: str,
+    needed_for: str,
+    package: str,
+) -> Finding:
+    """Start ``program`` and find its version by ``pattern`` (group 1; group 2, if any, is the build)."""
+    mend = f"apt-get install {package}"
+    path = shutil.which(program)
+    if path is None:
+        return Finding(name=title, ok=False, found=f"no {program} on PATH", needed_for=needed_for, hint=mend)
+    failure, text = ask([path, *arguments], SOLVER_LIMIT, solver_environment())
+    match = re.search(pattern, text)
+    if match is None or failure:
+        found = f"{path} {failure or 'does not say its version'}: {last_line(text)}"
+        hint = f"start {path} by hand; if it is broken: {mend} --reinstall"
+        return Finding(name=title, ok=False, found=found, needed_for=needed_for, hint=hint)
+    version, *build = (group for group in match.groups() if group)
+    found = f"{' '.join([version, *build])} ({path})"
+    if wanted is not None and version != wanted:
+        hint = f"kncal is written for version {wanted}, that of Debian 12: {mend}"
+        return Finding(name=title, ok=False, found=found, needed_for=needed_for, hint=hint)
+    return Finding(name=title, ok=True, found=found, needed_for=needed_for)
+
+
+def ask(command: list[str], limit: float, environment: Mapping[str, str]) -> tuple[str, str]:
+    """Run ``command`` with nothing to read; return how it failed (empty if it did not) and all it printed."""
+    with ExitStack() as stack:
+        try:
+            # Solvers that start side by side must not share Open MPI's folder: the first to end removes it.
+            session = stack.enter_context(scratch())
+            process = subprocess.Popen(  # noqa: S603 - an argument list, no shell, no text of a user
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                env={**environment, "OMPI_MCA_orte_tmpdir_base": str(session)},
+                start_new_session=True,
+            )
+        except OSError as error:
+            return "cannot be started", str(error)
+        stack.enter_context(process)
+        try:
+            output, _ = communicate(process, limit)
+            late = False
+        except subprocess.TimeoutExpired:
+            # The whole group: a grandchild that holds the pipe open would keep us waiting.
+            os.killpg(process.pid, signal.SIGKILL)
+            output, _ = process.communicate()
+            late = True
+    text = output.decode(errors="replace")
+    if late:
+        return f"gave no answer within {limit:g} s", text
+    if process.returncode < 0:
+        number = -process.returncode
+        return f"was ended by signal {number} ({signal.strsignal(number)})", text
+    return (f"ended with code {process.returncode}" if process.returncode else ""), text
+
+
+def last_line(text: str) -> str:
+    """Return the last line of a program's output that holds anything, without control characters."""
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    return "".join(c for c in lines[-1] if c.isprintable()) if lines else "it printed nothing"
