@@ -5,19 +5,19 @@ from __future__ import annotations
 import shlex
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
 from kncal.cli import show
-from kncal.cli.flags import Json, ModelChoice, RanksFlags, Timeout, Workers, kinds, several
+from kncal.cli.flags import Flags, Json, ModelChoice, RanksFlags, Timeout, Workers, kinds, several
 from kncal.core.errors import InputError
 
 if TYPE_CHECKING:
     from kncal.scene.finding import Finding
-    from kncal.study import Executor, Settings, Sweep, SweepProgress, SweepResult
+    from kncal.study import Executor, Sweep, SweepProgress, SweepResult
     from kncal.study.points import Point
     from kncal.study.slurm_script import SlurmOptions
 
@@ -27,45 +27,125 @@ _SHOWN, _LONGEST = 3, 400
 Parquet = Annotated[bool, Parameter(negative="", help="also write sweep.parquet (needs kncal[parquet])")]
 
 
-def sweep(
-    case: str,
-    *,
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class PointFlags(Flags):
+    """Which values the runs of a sweep have; several of these are combined."""
+
     overrides: Annotated[
-        list[str] | None,
-        several("--set", "KEY=VALUE,VALUE,...: a grid over these values; commas in [] don't count"),
-    ] = None,
-    points: Annotated[Path | None, Parameter(help="CSV file: header of dotted keys, one run per row")] = None,
-    sample: Annotated[int | None, Parameter(help="number of points of a Latin hypercube over --range")] = None,
-    ranges: Annotated[
-        list[str] | None, several("--range", "KEY=LOW:HIGH for --sample, e.g. contact.v_0=0.1:1.0")
-    ] = None,
-    log: Annotated[list[str] | None, several("--log", "KEY of a --range to sample by its logarithm")] = None,
-    seed: Annotated[int | None, Parameter(help="of --sample; the same seed gives the same points; default 0")] = None,
-    model: ModelChoice = "both",
-    by: RanksFlags | None = None,
-    workers: Workers = None,
-    out: Annotated[
-        Path | None, Parameter(name="--out", help="folder of the sweep; default runs/<case>_sweep here")
-    ] = None,
-    timeout: Timeout = None,
-    skip_bad: Annotated[
-        bool, Parameter(negative="", help="leave points out that cannot run, instead of refusing all")
-    ] = False,
-    parquet: Parquet = False,
+        list[str] | None, several("--set", "KEY=VALUE,VALUE,...: a grid of these values; commas in [] do not count")
+    ] = None
+    points: Annotated[Path | None, Parameter(help="CSV file: a header of dotted keys, one run per row")] = None
+    sample: Annotated[int | None, Parameter(help="number of points of a Latin hypercube over --range")] = None
+    ranges: Annotated[list[str] | None, several("--range", "KEY=LOW:HIGH for --sample, e.g. contact.v_0=0.1:1.0")] = (
+        None
+    )
+    log: Annotated[list[str] | None, several("--log", "KEY of a --range that is sampled by its logarithm")] = None
+    seed: Annotated[int | None, Parameter(help="for --sample; the same seed gives the same points; default 0")] = None
+
+    def groups(self) -> list[list[Point]]:
+        """Return the groups of points to combine."""
+        from kncal.scene.overrides import parse_override
+        from kncal.study import grid_axis, parse_range, read_points
+        from kncal.study import sample as hypercube
+
+        groups = [grid_axis(text) for text in self.overrides or ()]
+        if self.points is not None:
+            groups.append(read_points(self.points))
+        if self.sample is None:
+            alone = (("--range", self.ranges), ("--log", self.log), ("--seed", self.seed))
+            for name in (name for name, value in alone if value):
+                raise InputError(f"{name} has no meaning without --sample N")
+            return groups
+        found = [parse_range(text, self.log or ()) for text in self.ranges or ()]
+        unknown = {parse_override(f"{key}=0").path for key in self.log or ()} - {r.path for r in found}
+        if unknown:
+            raise InputError(f"--log {'.'.join(unknown.pop())}: no --range of that key")
+        if len({r.path for r in found}) < len(found):
+            raise InputError("--range: a key is given twice; expected each key once")
+        return [*groups, hypercube(found, self.sample, self.seed or 0)]
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class ClusterFlags(Flags):
+    """Where the runs of a sweep are done."""
+
+    workers: Workers = None
     executor: Annotated[
         Literal["local", "dask", "slurm"],
         Parameter(help="dask: Dask workers here, or of --scheduler; slurm: in Slurm jobs (both need kncal[dask])"),
-    ] = "local",
-    scheduler: Annotated[str | None, Parameter(help="of --executor dask: tcp://HOST:PORT or tls://HOST:PORT")] = None,
-    queue: Annotated[str | None, Parameter(help="Slurm's partition")] = None,
-    walltime: Annotated[str | None, Parameter(help="limit of a Slurm job, e.g. 02:00:00")] = None,
-    memory: Annotated[str | None, Parameter(help="of one run in a Slurm job, e.g. 2G")] = None,
+    ] = "local"
+    scheduler: Annotated[str | None, Parameter(help="for --executor dask: tcp://HOST:PORT or tls://HOST:PORT")] = None
+    queue: Annotated[str | None, Parameter(help="Slurm's partition")] = None
+    walltime: Annotated[str | None, Parameter(help="time limit of a Slurm job, e.g. 02:00:00")] = None
+    memory: Annotated[str | None, Parameter(help="memory of one run in a Slurm job, e.g. 2G")] = None
     interface: Annotated[
-        str | None, Parameter(help="network interface of --executor slurm, e.g. ib0; default: all")
-    ] = None,
+        str | None, Parameter(help="network interface for --executor slurm, e.g. ib0; default: all")
+    ] = None
     export_slurm: Annotated[
-        Path | None, Parameter(help="run nothing: write a Slurm job-array script of the runs that are left to FILE")
-    ] = None,
+        Path | None, Parameter(help="run nothing: write a script to FILE, a Slurm job array of the runs that are left")
+    ] = None
+
+    def check(self, *, parquet: bool) -> None:
+        """Refuse a flag that would be ignored."""
+        if self.scheduler is not None and self.executor != "dask":
+            raise InputError("--scheduler has no meaning without --executor dask")
+        if self.executor != "slurm":
+            if self.interface is not None:
+                raise InputError("--interface has no meaning without --executor slurm")
+            for name in ("queue", "walltime", "memory") if self.export_slurm is None else ():
+                if getattr(self, name) is not None:
+                    raise InputError(f"--{name} has no meaning without --executor slurm or --export-slurm")
+        if self.export_slurm is not None:
+            if self.executor != "local":
+                raise InputError(f"--export-slurm runs nothing: leave --executor {self.executor} out")
+            if parquet:
+                raise InputError("--export-slurm runs nothing, so there is no table: see `kncal sweep-table`")
+
+    def options(self) -> SlurmOptions:
+        """Return what Slurm is told."""
+        from kncal.study.slurm_script import SlurmOptions
+
+        given = {name: getattr(self, name) or "" for name in ("queue", "walltime", "memory", "interface")}
+        return SlurmOptions(**given)
+
+    def at_once(self, ranks: RanksFlags) -> int | None:
+        """Return how many runs go on at the same time; None: as many as there are workers."""
+        from kncal.core.mpi import check_fit
+
+        if ranks.ranks == 1:
+            return self.workers
+        if self.executor == "slurm" or self.scheduler or self.export_slurm:
+            raise InputError(
+                "--ranks: a run on another machine or in a Slurm job has one core; expected --executor local"
+            )
+        return check_fit(self.workers, ranks.ranks, oversubscribe=ranks.oversubscribe)
+
+    def runner(self, workers: int | None) -> Executor:
+        """Return what does the runs."""
+        if self.executor == "local":
+            from kncal.study import ThreadExecutor
+
+            return ThreadExecutor(workers)
+        from kncal.study.dask_executor import dask_executor
+
+        return dask_executor(self.executor, workers, scheduler=self.scheduler, options=self.options())
+
+
+def sweep(
+    case: str,
+    *,
+    over: PointFlags | None = None,
+    model: ModelChoice = "both",
+    by: RanksFlags | None = None,
+    timeout: Timeout = None,
+    on: ClusterFlags | None = None,
+    out: Annotated[Path | None, Parameter(help="folder of the sweep; default runs/<case>_sweep here")] = None,
+    skip_bad: Annotated[bool, Parameter(negative="", help="skip points that cannot run, instead of refusing all")] = (
+        False
+    ),
+    parquet: Parquet = False,
     json: Json = False,
 ) -> int:
     """Run CASE with every combination of the given values; one run folder each, one table of all.
@@ -79,53 +159,55 @@ def sweep(
     """
     from kncal.scene.case_file import load_case
     from kncal.study import Settings, combine, design, read_sweep, run_sweep
-    from kncal.study.slurm_script import SlurmOptions
     from kncal.study.table import check_parquet, write_parquet
 
     if parquet:
         check_parquet()
-    groups = _groups(overrides, points, sample, ranges, log, seed)
-    by, scene = by or RanksFlags(), load_case(case)
+    over, by, on = over or PointFlags(), by or RanksFlags(), on or ClusterFlags()
+    combined, scene = combine(over.groups()), load_case(case)
     by.check(scene)
-    settings = Settings(engine=by.engine, models=kinds(model), transport=by.transport, timeout=timeout)
-    if by.ranks > 1:
-        settings = replace(settings, ranks=by.ranks, oversubscribe=by.oversubscribe)
-        workers = _workers(workers, settings, elsewhere=executor == "slurm" or bool(scheduler or export_slurm))
-    _check_cluster_flags(executor, scheduler, queue, walltime, memory, interface, export_slurm, parquet)
-    options = SlurmOptions(queue=queue or "", walltime=walltime or "", memory=memory or "", interface=interface or "")
-    runner = _executor(executor, workers, scheduler, options)
-    folder = out if out is not None else Path("runs") / f"{scene.name}_sweep"
-    combined = combine(groups)
-    minded: dict[str, dict[str, str]] = {}
+    settings = Settings(
+        engine=by.engine,
+        models=kinds(model),
+        transport=by.transport,
+        timeout=timeout,
+        ranks=by.ranks,
+        oversubscribe=by.oversubscribe and by.ranks > 1,
+    )
+    workers = on.at_once(by)
+    on.check(parquet=parquet)
+    runner = on.runner(workers)
+    folder = out or Path("runs") / f"{scene.name}_sweep"
+    warnings: dict[str, dict[str, str]] = {}
 
     def warn(run: str, found: tuple[Finding, ...]) -> None:
         for finding in found:
-            minded.setdefault(finding.code, {})[run] = finding.message
+            warnings.setdefault(finding.code, {})[run] = finding.message
 
     with _bar() as told:
         made, text = design(case, combined, settings, skip_bad=skip_bad, progress=told.checking, warn=warn)
-        if export_slurm is None:
+        if on.export_slurm is None:
             result = run_sweep(made, text, folder, runner, told.running)
-    if export_slurm is not None:
-        _tell_warnings(minded, made)
-        return _export(made, text, folder, export_slurm, options, workers, json)
+    if on.export_slurm is not None:
+        _tell_warnings(warnings, made)
+        return _export(made, text, folder, on.export_slurm, on.options(), workers, json)
     if parquet:
         write_parquet(folder, read_sweep(folder))
     if json:
         summary = _summary(result, len(combined), [r.model_dump() for r in made.refused])
-        show.as_json(summary | {"warnings": minded})
+        show.as_json(summary | {"warnings": warnings})
     else:
         _print(result, len(combined), [", ".join(r.values) + ": " + r.message for r in made.refused])
-        _tell_warnings(minded, made)
+        _tell_warnings(warnings, made)
     return 0 if result.completed == result.total and not made.refused else 3
 
 
-def _tell_warnings(minded: Mapping[str, Mapping[str, str]], made: Sweep) -> None:
+def _tell_warnings(warnings: Mapping[str, Mapping[str, str]], made: Sweep) -> None:
     """Tell each kind of warning once: of how many runs, and what it says of the first."""
-    for code, runs in minded.items():
+    for code, runs in warnings.items():
         run, message = next(iter(runs.items()))
         values = ", ".join(made.runs[run]) or "the case"
-        show.note(f"warning ({code}) about {len(runs)} of {len(made.runs)} runs, such as {values}: {message}")
+        show.note(f"warning ({code}), {len(runs)} of {len(made.runs)} runs, e.g. {values}: {message}")
 
 
 def sweep_run(folder: Path, run: str, *, json: Json = False) -> int:
@@ -185,51 +267,6 @@ def sweep_table(folder: Path, *, parquet: Parquet = False, json: Json = False) -
     return 0 if completed.all() else 3
 
 
-def _executor(name: str, workers: int | None, scheduler: str | None, options: SlurmOptions) -> Executor:
-    if name == "local":
-        from kncal.study import ThreadExecutor
-
-        return ThreadExecutor(workers)
-    from kncal.study.dask_executor import dask_executor
-
-    return dask_executor(name, workers, scheduler=scheduler, options=options)
-
-
-def _workers(workers: int | None, settings: Settings, *, elsewhere: bool) -> int:
-    """Return how many runs of several ranks go on at a time."""
-    from kncal.core.mpi import check_fit
-
-    if elsewhere:
-        raise InputError("--ranks: a run on another machine or in a Slurm job has one core; expected --executor local")
-    return check_fit(workers, settings.ranks, oversubscribe=settings.oversubscribe)
-
-
-def _check_cluster_flags(
-    executor: str,
-    scheduler: str | None,
-    queue: str | None,
-    walltime: str | None,
-    memory: str | None,
-    interface: str | None,
-    export: Path | None,
-    parquet: bool,
-) -> None:
-    """Refuse a flag that would be passed over in silence."""
-    if scheduler is not None and executor != "dask":
-        raise InputError("--scheduler has no meaning without --executor dask")
-    if executor != "slurm":
-        if interface is not None:
-            raise InputError("--interface has no meaning without --executor slurm")
-        for name, value in (("--queue", queue), ("--walltime", walltime), ("--memory", memory)):
-            if value is not None and export is None:
-                raise InputError(f"{name} has no meaning without --executor slurm or --export-slurm")
-    if export is not None:
-        if executor != "local":
-            raise InputError(f"--export-slurm runs nothing: leave --executor {executor} out")
-        if parquet:
-            raise InputError("--export-slurm runs nothing, so there is no table: see `kncal sweep-table`")
-
-
 def _export(
     made: Sweep, text: str, folder: Path, file: Path, options: SlurmOptions, workers: int | None, json: bool
 ) -> int:
@@ -249,34 +286,6 @@ def _export(
     else:
         show.say(f"all {len(made.runs)} runs are completed: no script was written")
     return 0 if not made.refused else 3
-
-
-def _groups(
-    overrides: list[str] | None,
-    points: Path | None,
-    sample: int | None,
-    ranges: list[str] | None,
-    log: list[str] | None,
-    seed: int | None,
-) -> list[list[Point]]:
-    from kncal.scene.overrides import parse_override
-    from kncal.study import grid_axis, parse_range, read_points
-    from kncal.study import sample as hypercube
-
-    groups = [grid_axis(text) for text in overrides or ()]
-    if points is not None:
-        groups.append(read_points(points))
-    if sample is None:
-        if alone := [name for name, value in (("--range", ranges), ("--log", log), ("--seed", seed)) if value]:
-            raise InputError(f"{alone[0]} has no meaning without --sample N")
-        return groups
-    found = [parse_range(text, log or ()) for text in ranges or ()]
-    unknown = {parse_override(f"{key}=0").path for key in log or ()} - {r.path for r in found}
-    if unknown:
-        raise InputError(f"--log {'.'.join(unknown.pop())}: no --range of that key")
-    if len({r.path for r in found}) < len(found):
-        raise InputError("--range: a key is given twice; expected each key once")
-    return [*groups, hypercube(found, sample, seed or 0)]
 
 
 class _Told:
