@@ -1,7 +1,7 @@
 """The command line: ``kncal COMMAND``.
 
 Exit codes: 0 ok, 1 outside a tolerance (and for nothing else), 2 bad usage or input (also a run folder in use), 3 a run
-failed (also disk full, or not writable), 4 solver missing, 5 a fault of kncal itself (its traceback is in a file), 130
+failed (also disk full, or not writable), 4 solver missing, 5 an error in kncal itself (its traceback is in a file), 130
 interrupted (Ctrl-C, SIGTERM, SIGHUP). A command with --json that fails prints an object with ``error``, ``kind`` and
 ``exit_code``.
 """

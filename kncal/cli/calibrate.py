@@ -42,7 +42,7 @@ def kn(
     factor: Annotated[float, Parameter(help="prefactor of youngs_modulus")] = 1.0,
     steps_per_contact: Annotated[
         float | None,
-        Parameter(help="N of the advised time steps; default: the case's, else 50, more for small e_n"),
+        Parameter(help="N of the time steps that are printed; default: as in the case, else 50, more for small e_n"),
     ] = None,
     style: Annotated[
         Literal["hooke/stiffness", "hooke", "hertz"], Parameter(help="LIGGGHTS' normal model in the block to paste")
@@ -59,8 +59,8 @@ def kn(
 ) -> None:
     """Linear stiffness and damping by every method, for a material given by flags or for the pairs of a CASE.
 
-    With --from-run at the impact speeds that a run had. A CASE whose contact.v_0 is "measured" is run for them first,
-    with --engine, in the folder --out.
+    With --from-run the impact speeds of a run are used. If contact.v_0 of CASE is "measured", the case is run first to
+    measure them: by --engine, in the folder --out.
 
     Example: kncal kn --young 70e9 --poisson 0.22 --density 2500 --radius 1e-3 --v0 0.5 --en 0.9
 
@@ -130,7 +130,7 @@ def _kn_flags(
     *,
     json: bool,
 ) -> None:
-    """Print what is to be said of the contact that the flags describe."""
+    """Print the calibration of the contact that the flags describe."""
     from kncal.engines.liggghts.deck_block import matrix_block
     from kncal.physics.timestep import usual_steps
 
@@ -262,7 +262,7 @@ def _kn_case(
 def _say_block(what: str, block: str) -> None:
     show.say(f"For a LIGGGHTS deck ({what}):\n")
     if len(block) > _LONG_BLOCK:
-        show.say(f'{len(block) // 1024} kB, too long for a terminal: --json has it, in "liggghts"')
+        show.say(f'{len(block) // 1024} kB, too long for a terminal: --json prints it, under "liggghts"')
     else:
         show.say(block)
 
@@ -311,7 +311,7 @@ def _kn_print_pair(name: str, data: Mapping[str, Any], method: str) -> None:
 def collide(
     *,
     contact: ContactFlags | None = None,
-    method: Annotated[str, Parameter(help="how the linear contact is found")] = "mean_overlap",
+    method: Annotated[str, Parameter(help="method for the stiffness of the linear contact")] = "mean_overlap",
     fraction: Annotated[float | None, Parameter(help="allowed overlap of limited_overlap, of the diameter")] = None,
     t_c: Annotated[float | None, Parameter(name="--t-c", help="duration [s] for contact_time")] = None,
     force: Annotated[float | None, Parameter(help="resting force [N] for static_load")] = None,

@@ -54,12 +54,12 @@ def new(case: str, folder: Path) -> None:
     try:
         plain_name("name of a case", name)
     except InputError as error:
-        raise InputError(f"{folder}: a case is called as its folder; {error}; nothing was made") from error
+        raise InputError(f"{folder}: a case has the name of its folder; {error}; nothing was written") from error
     source = resource("cases") / case / "case.toml"
     text = _changed_from(case, source.read_text("utf-8"))
     folder.mkdir(parents=True)
     (folder / "case.toml").write_text(text, encoding="utf-8")
-    show.say(f"{folder / 'case.toml'} is yours to edit; then: kncal compare {folder}")
+    show.say(f"{folder / 'case.toml'} written: edit it, then: kncal compare {folder}")
 
 
 def _changed_from(case: str, text: str) -> str:
@@ -71,7 +71,7 @@ def _changed_from(case: str, text: str) -> str:
 
 
 def needs(case: str, *, json: Json = False) -> None:
-    """Say which physics CASE requires, and why.
+    """Show which parts of the physics CASE needs, and why.
 
     Parameters
     ----------
@@ -89,17 +89,17 @@ def needs(case: str, *, json: Json = False) -> None:
         show.as_json(frame.to_dict(orient="records"))
         return
     show.table(
-        f"What {case} requires",
+        f"What {case} needs",
         list(frame.columns),
         [[str(cell) for cell in row] for row in frame.itertuples(index=False)],
         text=tuple(range(len(frame.columns))),
         fold=True,
     )
-    show.say("Overrule kncal in the case file: [needs] tangential = true or false (or rolling)")
+    show.say("To decide it yourself, write in the case file: [needs] tangential = true or false (or rolling)")
 
 
 def doctor(*, json: Json = False) -> int:
-    """Look at this machine: solvers, versions, off-screen pictures, disk; exit code 4 if LIGGGHTS is missing."""
+    """Check this machine: solvers, versions, pictures without a screen, disk; exit code 4 if LIGGGHTS is missing."""
     from kncal.cli.machine import examine
 
     findings = examine()

@@ -79,4 +79,4 @@ def _unexpected(error: BaseException) -> str:
         print(show.printable("".join(lines)), file=sys.stderr)
         where = f"the traceback is above (no file for it: {problem.strerror})"
     what = " ".join(f"{type(error).__name__}: {error}".split())[:200]
-    return f"a fault of kncal itself, no matter what was asked for ({what}); please report it: {where}"
+    return f"an error in kncal itself, not in your input ({what}); please report it: {where}"

@@ -177,9 +177,13 @@ def kn_print(name: str, data: dict[str, Any]) -> None:
         show.say(f"  {kinds[message]} ({who}): {message}")
     for law, step in data["step_error"].items():
         if (advised := step["advised_steps_per_contact"]) is not None:
-            off = "beyond all bounds" if step["e_n"] is None else f"up to {100.0 * step['e_n']:.2g} %"
-            show.say(f"  {law}: e_n is {off} off by the step at N = {n:g}; at most 1 % from N = {advised:g} on")
-    show.say(f"  contact ends at zero {data['end']}; the paper's three methods as reconstructed\n")
+            off = "by more than can be predicted" if step["e_n"] is None else f"by up to {100.0 * step['e_n']:.2g} %"
+            show.say(
+                f"  {law}: the time step changes e_n {off} at N = {n:g}, by at most 1 % at N = {advised:g} or more"
+            )
+    show.say(
+        f"  the contact ends at zero {data['end']}; the paper's three methods are as reconstructed (docs/theory.md)\n"
+    )
 
 
 def own_options(method: str, options: dict[str, Any]) -> dict[str, Any]:

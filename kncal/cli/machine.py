@@ -69,7 +69,7 @@ def _adapter() -> Finding:
     from kncal.engines.dpmfoam.adapter_build import AdapterError, find
 
     hint = "optional; kncal adapter build (downloads 45 MB, needs a C++ compiler)"
-    needed_for = "coupled beds without starting the gas solver anew for each coupling"
+    needed_for = "fast coupled beds: the gas solver is not started again for each coupling"
     try:
         library = find()
     except AdapterError as error:

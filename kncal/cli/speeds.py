@@ -79,7 +79,7 @@ def _print_run(run: RunSpeeds) -> None:
         pair = run.pairs[kind]
         window = f"{show.quantity(run.begin, 's')} to {show.quantity(run.end, 's')}"
         if not found.count:
-            show.say(f"{run.scene.name}, {run.model}, {_WHO.get(kind, kind)}: no impact was seen in {window}\n")
+            show.say(f"{run.scene.name}, {run.model}, {_WHO.get(kind, kind)}: no impact in {window}\n")
             continue
         rows = []
         doubts: dict[str, list[str]] = {}
@@ -95,15 +95,14 @@ def _print_run(run: RunSpeeds) -> None:
             rows,
         )
         for why, names in doubts.items():
-            show.say(f"  not to be relied on ({', '.join(names)}): {why}")
+            show.say(f"  not reliable ({', '.join(names)}): {why}")
         at = "no speed" if pair.contact.v_0 is None else show.quantity(pair.contact.v_0, "m/s")
         given = "" if pair.numbers.k_n is None else f"; it prescribes k_n = {show.quantity(pair.numbers.k_n, 'N/m')}"
         show.say(f"  the run was calibrated at {at}{given}\n")
     if run.enduring is not None:
         show.say(
-            f"  contacts of two particles last {run.enduring.duration:.3g} t_c in the mean; at any moment at least "
-            f"{100.0 * run.enduring.share:.0f} % of them are older than an impact lasts: no impact speed describes "
-            "those\n"
+            f"  contacts of two particles last {run.enduring.duration:.3g} t_c on average; at any time at least "
+            f"{100.0 * run.enduring.share:.0f} % of them are older than an impact: no impact speed describes them\n"
         )
 
 

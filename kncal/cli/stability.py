@@ -1,4 +1,4 @@
-"""``kncal stability``: where a case stops to be simulated right."""
+"""``kncal stability``: from which time step on a case is simulated wrong."""
 
 from __future__ import annotations
 
@@ -23,11 +23,12 @@ def stability(
     at: CaseFlags | None = None,
     json: Json = False,
 ) -> None:
-    """Find the edge of stability of CASE: by bisection in the time step, compared with theory, and maps of outcomes.
+    """Find the largest stable time step of CASE by bisection, compare it with theory, and map the outcomes.
 
-    Probes made from the case's materials and contact: one sphere on a wall to twelve around one, linear and Hertz. Of a
-    bed also the edges in gas step, coupling interval and cell size, by short runs of a reduced bed. Writes
-    stability.json, stability.csv, map.csv and report/. The same command again runs only what is missing.
+    Small test scenes have the case's materials and contact, linear and Hertz: from one sphere on a wall to twelve
+    spheres around one. With gas also the limits of gas step, coupling interval and cell size, by short runs of a
+    smaller bed. Writes stability.json, stability.csv, map.csv and report/. The same command again runs only what is
+    missing.
 
     Parameters
     ----------
@@ -51,7 +52,7 @@ def stability(
         return
     for title, table, text in (
         ("Edges of stability", edge_table(found), (0, 1, 5, 8, 10)),
-        ("Steps that a right restitution needs", accuracy_table(found), (0, 6)),
+        ("Steps for a correct restitution", accuracy_table(found), (0, 6)),
         ("Edges of the coupled algorithm", bed_table(found), (0, 3, 4, 5)),
     ):
         if table.rows:

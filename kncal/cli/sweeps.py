@@ -203,7 +203,7 @@ def sweep(
 
 
 def _tell_warnings(warnings: Mapping[str, Mapping[str, str]], made: Sweep) -> None:
-    """Tell each kind of warning once: of how many runs, and what it says of the first."""
+    """Print each kind of warning once: of how many runs, and its text for the first."""
     for code, runs in warnings.items():
         run, message = next(iter(runs.items()))
         values = ", ".join(made.runs[run]) or "the case"
@@ -211,7 +211,7 @@ def _tell_warnings(warnings: Mapping[str, Mapping[str, str]], made: Sweep) -> No
 
 
 def sweep_run(folder: Path, run: str, *, json: Json = False) -> int:
-    """Do one RUN of the sweep in FOLDER, unless it is completed already: what the jobs of --export-slurm call.
+    """Do one RUN of the sweep in FOLDER, unless it is completed. The jobs of --export-slurm call this.
 
     Exit code 0: completed, 3: failed, 4: the solver is missing, 130: interrupted.
 
@@ -235,7 +235,7 @@ def sweep_run(folder: Path, run: str, *, json: Json = False) -> int:
 
 
 def sweep_table(folder: Path, *, parquet: Parquet = False, json: Json = False) -> int:
-    """Write the table of the sweep in FOLDER anew from its run folders, and count; runs nothing.
+    """Write the table of the sweep in FOLDER again from its run folders, and count the runs; runs nothing.
 
     Exit code 0: all runs are completed, 3: some are not.
 
@@ -289,7 +289,7 @@ def _export(
 
 
 class _Told:
-    """What the progress of a sweep is told to."""
+    """Shows the progress of a sweep."""
 
     def __init__(self, update: Callable[[str, int, int, str], None]) -> None:
         self._update = update
@@ -299,7 +299,7 @@ class _Told:
 
     def running(self, p: SweepProgress) -> None:
         left = "" if p.left is None else f", {_time(p.left)} left"
-        kept = f" ({p.kept} from before)" if p.kept else ""
+        kept = f" ({p.kept} earlier)" if p.kept else ""
         text = f"{p.done} of {p.total}: {p.completed} completed{kept}, {p.failed} failed, {p.running} running{left}"
         self._update("sweep", p.done, p.total, text)
 
@@ -339,10 +339,10 @@ def _summary(result: SweepResult, points: int, refused: list[dict[str, object]])
 
 
 def _print(result: SweepResult, points: int, refused: list[str]) -> None:
-    kept = f", {result.kept} of them before" if result.kept else ""
+    kept = f", {result.kept} of them earlier" if result.kept else ""
     show.say(f"{result.completed} of {result.total} runs completed{kept}")
     if points > result.total + len(refused):
-        show.say(f"  ({points} points; some of them are the same run)")
+        show.say(f"  ({points} points; some of them give the same run)")
     for name, ids in result.failures.items():
         show.say(f"{len(ids)} failed: {name}")
         for run in ids[:_SHOWN]:
@@ -351,5 +351,5 @@ def _print(result: SweepResult, points: int, refused: list[str]) -> None:
         if len(ids) > _SHOWN:
             show.say(f"  and {len(ids) - _SHOWN} more")
     for text in refused:
-        show.say(f"left out: {text}")
+        show.say(f"skipped: {text}")
     show.say(f"table: {result.table}")

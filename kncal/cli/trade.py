@@ -31,12 +31,12 @@ def trade(
         list[str] | None,
         several(
             "--reference",
-            "KEY=VALUE that makes a material real where the case's is softened, e.g. materials.soft.young=1e9",
+            "KEY=VALUE: the true value, where the case has a softened material, e.g. materials.soft.young=1e9",
         ),
     ] = None,
     factors: Annotated[
         list[str] | None,
-        several("--factor", "share of k_n and of the modulus to try, e.g. 1/30; default 1 to 1/10000"),
+        several("--factor", "factor on k_n and on Young's modulus to try, e.g. 1/30; default 1 to 1/10000"),
     ] = None,
     steps: Annotated[
         list[float] | None,
@@ -49,10 +49,10 @@ def trade(
     by: EngineFlags | None = None,
     json: Json = False,
 ) -> int:
-    """Measure what softer and coarser contacts save on CASE, and find the cheapest inside the tolerances.
+    """Measure how much softer contacts and larger time steps save on CASE; find the cheapest within the tolerances.
 
-    Writes trade.json, trade.csv, a report, and a case.toml with the chosen contact. The same command again goes on.
-    Exit code 0: there is one; 1: no contact is surely inside the tolerances.
+    Writes trade.json, trade.csv, a report, and a case.toml with the chosen contact. The same command again continues.
+    Exit code 0: one was found; 1: no contact is within the tolerances for certain.
 
     Parameters
     ----------
@@ -131,7 +131,9 @@ def _print(result: TradeResult) -> None:
     title = f"{shown.case}: the contacts that ran" if shown.bed else f"{shown.case}: the Pareto front"
     show.table(title, found.headings, found.rows, text=(0, last - 1, last))
     if not shown.bed and len(near) < len(conclusion.front):
-        show.say(f"{len(conclusion.front) - len(near)} points of the front are more than {NEAR:g} times outside.")
+        show.say(
+            f"{len(conclusion.front) - len(near)} points, over a tolerance more than {NEAR:g} times, are not shown."
+        )
     for sentence in result.sentences:
         show.say(sentence)
     lost = [point for point in shown.points if not point.completed]

@@ -1,4 +1,4 @@
-"""``kncal trim``: what a scene can do without."""
+"""``kncal trim``: which parts of the physics a scene does not need."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def trim(
         several("--tolerance", "METRIC=SHARE that may change, e.g. restitution=1%; default: those of the case"),
     ] = None,
     rounds: Annotated[
-        int | None, Parameter(help="how often all is run, for the spread of CPU times; default 3, of beds 1")
+        int | None, Parameter(help="how often everything is run, for the spread of CPU times; default 3, with gas 1")
     ] = None,
     workers: Workers = None,
     timeout: Timeout = None,
@@ -37,10 +37,10 @@ def trim(
     by: EngineFlags | None = None,
     json: Json = False,
 ) -> None:
-    """Run CASE with and without each optional part of its physics; tell cost and effect, and write the trimmed case.
+    """Run CASE with and without each optional part of its physics; show cost and effect, and write the trimmed case.
 
-    What has no effect on the scene, as far as the tolerances and the uncertainty of the runs can tell, is left out;
-    then the trimmed scene is run against the full one. Writes trim.json, trim.csv, report/ and case.toml. The same
+    Parts without an effect, within the tolerances and the uncertainty of the runs, are left out. Then the trimmed scene
+    is compared with the full one. Writes trim.json, trim.csv, report/ and case.toml. The same
     command again runs only what is missing.
 
     Parameters
@@ -104,7 +104,7 @@ def _print(found: Trim) -> None:
 
     columns = ["part", "tried", "verdict", "CPU", "steps", "disk", "largest effect", "of"]
     rows = [part_row(r) for r in found.results if r.verdict != DOES_NOT_APPLY]
-    show.table(f"{found.case}, {found.model}: what it can do without", columns, rows, text=(0, 1, 2, 7))
+    show.table(f"{found.case}, {found.model}: parts of the physics", columns, rows, text=(0, 1, 2, 7))
     for result in found.results:
         if result.verdict != DOES_NOT_APPLY:
             show.say(f"  {result.sentence}")

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from kncal.runs.states import RunState
 
 #: What to do about a failure that has no name, or one that this kncal does not know.
-_ELSE = "its log may say more; the same command again"
+_ELSE = "read its log, then run the same command again"
 #: Runs that fit on one screen.
 _ROWS = 30
 
@@ -25,7 +25,7 @@ def status(
     *,
     json: Annotated[bool, Parameter(name="--json", negative="", help="print data for machines")] = False,
 ) -> None:
-    """Tell what runs, what is done, what failed and why, and what to do about it.
+    """Show which runs are running, completed or failed, why they failed, and what to do.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def clean(
 ) -> None:
     """Remove earlier attempts, and working files of completed beds; asks first, never touches a running case.
 
-    With the folders in which the solvers of a completed bed worked, their logs go.
+    The working files of a completed bed include the logs of its solvers.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def clean(
         show.say(f"{_megabytes(removal.size):>9}  {removal.path} ({removal.why})")
     total = _megabytes(sum(removal.size for removal in removals))
     if not yes and not _agreed(f"Remove these {len(removals)} folders, {total}?"):
-        show.say("nothing was removed")
+        show.say("nothing removed")
         return
     freed, held = remove(removals)
     for text in held:
@@ -105,7 +105,7 @@ def _sweep(folder: Path, *, json: bool) -> None:
     if found.owner:
         show.say(f"run by {found.owner}")
     elif found.counts.get("completed", 0) < found.total:
-        show.say("nobody runs it; the same command again does what is missing")
+        show.say("it is not running; the same command again runs what is missing")
     if found.failures:
         rows = [
             [name, str(number), ADVICE.get(name) or ADVICE.get(name.replace("-", "_"), "")]

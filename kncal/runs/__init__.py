@@ -1,1 +1,1 @@
-"""The run folder: render, run, go on, load, compare."""
+"""The run folder: render, run, resume, load, compare."""

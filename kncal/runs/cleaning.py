@@ -20,7 +20,7 @@ from kncal.runs.records import MANIFEST, ModelManifest
 from kncal.runs.states import find_run_folders, holder, run_state
 from kncal.scene.model import KINDS
 
-#: Of a completed coupled run: where the solvers worked, and from where it could have gone on; and what tells each
+#: Of a completed coupled run: where the solvers worked, and from where it could have resumed; and what tells each
 #: from a folder of somebody's own with such a name.
 _WORK = (
     (re.compile(r"gas(-[1-9]\d*)?"), ("system", "constant", "log.*")),

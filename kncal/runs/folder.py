@@ -92,7 +92,7 @@ def case_folder(
                 return
             attempt = set_aside(out)
             if tell:
-                tell(f"what {out} held{'' if same else ', of another case,'} is now in {attempt}")
+                tell(f"{out}: what an earlier run{'' if same else ' of another case'} left was moved to {attempt}")
         text = dump_case(scene).encode()
         digest = hashlib.sha256(text).hexdigest()
         # The manifest first: it says whose folder this is, should kncal be killed before the next line.
@@ -123,7 +123,7 @@ def _check_ours(out: Path) -> None:
             read_record(CaseManifest, out / MANIFEST)
         except ReadError as error:
             raise RenderError(
-                f"{out}: not a run folder, its {MANIFEST} is none of kncal's ({error}); choose an empty folder with "
+                f"{out}: not a run folder: its {MANIFEST} is not from kncal ({error}); choose an empty folder with "
                 "--out, nothing was changed"
             ) from error
     elif not all(map(_left_behind, out.iterdir())):
@@ -202,7 +202,7 @@ def refuse_links(out: Path) -> None:
             mode = os.lstat(path := Path(place, name)).st_mode
             if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
                 what = "a symbolic link" if stat.S_ISLNK(mode) else "a pipe or a device"
-                raise RenderError(f"{path}: {what}, which kncal does not make: remove it to go on in {out}")
+                raise RenderError(f"{path}: {what}, kncal makes none: remove it, or choose another --out")
 
 
 def model_manifest(

@@ -1,4 +1,4 @@
-"""What an earlier start left of a run: is it kept, resumed, or run anew, and why."""
+"""What an earlier start left of a run: is it kept, resumed, or run again, and why."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def take_up(
     checkpoints: Mapping[str, str] | None = None,
     tell: Tell | None = None,
 ) -> dict[str, Earlier]:
-    """Decide about each model in the run folder ``out`` (`look_back`), and move what is done anew to ``attempt-N``.
+    """Decide about each model in the run folder ``out`` (`look_back`), and move what runs again to ``attempt-N``.
 
     ``manifests`` and ``checkpoints`` by model; ``tell`` is called with a sentence about each model that was there.
     """
@@ -93,13 +93,13 @@ def look_back(folder: Path, manifest: Mapping[str, Any], *, repeat: int = 1, che
     except ReadError as error:
         return Earlier(action="run", why=str(error))
     if changed:
-        return Earlier(action="run", why=f"another {' and '.join(changed)} than before")
+        return Earlier(action="run", why=f"not the same {', '.join(changed)}")
     if result is not None and result.status == "completed":
         return _completed(result, repeat)
     if result is not None:
         why = f"it ended as {result.status.replace('_', ' ')}"
     elif (folder / STARTED).is_file():
-        why = "it never came to its end (kncal, the machine or its power was stopped)"
+        why = "it has no end (kncal or the machine was stopped)"
     else:  # only rendered
         why = ""
     if checkpoint:
@@ -111,7 +111,7 @@ def _completed(result: RunResult, repeat: int) -> Earlier:
     samples = len(result.extra.get("cpu_samples") or [result.cpu_seconds])
     if samples >= repeat:
         return Earlier(action="keep", why="it is complete, with the same input", result=result)
-    return Earlier(action="run", why=f"{samples} CPU time(s) are on record, {repeat} are wanted")
+    return Earlier(action="run", why=f"it has {samples} CPU time(s), {repeat} are asked for")
 
 
 def _changed(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:

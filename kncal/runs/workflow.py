@@ -202,19 +202,9 @@ def run_case(
                     tell(f"{kind}: that run used the {used} transport, which gives the same numbers")
             results |= {kind: found.result for kind, found in it.earlier.items() if found.result is not None}
             for kind in [kind for kind in it.models if kind not in results] * repeat:
-                folder, progress = out / kind, progress_for(kind) if progress_for else None
-                with started(folder):  # a result of an earlier repeat would vouch for what this one is writing
-                    try:
-                        result = it.way.run(
-                            it.models[kind],
-                            folder,
-                            timeout=timeout,
-                            progress=progress,
-                            resume=it.earlier[kind].action == "resume",
-                            pass_fds=(it.lock,),
-                        )
-                    except KeyboardInterrupt:
-                        result = _interrupted(engine.name, it.models[kind], folder)
+                progress = progress_for(kind) if progress_for else None
+                with started(out / kind):  # a result of an earlier repeat would vouch for what this one is writing
+                    result = _run(it, kind, out / kind, timeout, progress)
                     samples[kind].append(result.cpu_seconds)
                     extra = {**result.extra, "cpu_samples": list(samples[kind])}
                     extra |= {"warning": profile.warning} if profile.warning else {}
@@ -227,19 +217,24 @@ def run_case(
     return {kind: results[kind] for kind in KINDS if kind in results}
 
 
-def _interrupted(engine: str, model: Any, folder: Path) -> RunResult:
-    return RunResult(
-        status="interrupted",
-        engine=engine,
-        model=model.kind,
-        folder=folder,
-        steps=schedule(model).steps,
-        dt=model.dt,
-        cpu_seconds=0.0,
-        wall_seconds=0.0,
-        version="",
-        message="stopped by the user",
-    )
+def _run(it: _Rendered, kind: str, folder: Path, timeout: float | None, progress: Progress | None) -> RunResult:
+    """Run one model; one that the user stops has a result, too."""
+    model, resume = it.models[kind], it.earlier[kind].action == "resume"
+    try:
+        return it.way.run(model, folder, timeout=timeout, progress=progress, resume=resume, pass_fds=(it.lock,))
+    except KeyboardInterrupt:
+        return RunResult(
+            status="interrupted",
+            engine=it.way.engine.name,
+            model=kind,
+            folder=folder,
+            steps=schedule(model).steps,
+            dt=model.dt,
+            cpu_seconds=0.0,
+            wall_seconds=0.0,
+            version="",
+            message="stopped by the user",
+        )
 
 
 def require_completed(results: Iterable[RunResult]) -> None:

@@ -72,7 +72,7 @@ def test_changed_input_never_reuses_a_result(done: Path) -> None:
 @pytest.mark.parametrize(
     ("damage", "words"),
     [
-        (lambda folder: (folder / RESULT).unlink(), "never came to its end"),
+        (lambda folder: (folder / RESULT).unlink(), "it has no end"),
         (lambda folder: (folder / "particles.dump").write_text("x"), "changed since the run ended"),
         (lambda folder: (folder / "particles.dump").unlink(), "not there, though the run wrote it"),
         (lambda folder: (folder / "manifest.json").write_text("{}"), "manifest.json"),
@@ -80,9 +80,9 @@ def test_changed_input_never_reuses_a_result(done: Path) -> None:
         (lambda folder: (folder / RESULT).write_text('{"status"'), "result.json"),
         (lambda folder: _edit(folder / RESULT, status="failed"), "it ended as failed"),
         (lambda folder: _edit(folder / RESULT, status="timed_out"), "it ended as timed out"),
-        (lambda folder: _edit(folder / "manifest.json", kncal="0.0.1"), "another version of kncal"),
-        (lambda folder: _edit(folder / "manifest.json", dt=1.0), "another time step"),
-        (lambda folder: _edit(folder / "manifest.json", engine="liggghts"), "another engine"),
+        (lambda folder: _edit(folder / "manifest.json", kncal="0.0.1"), "not the same version of kncal"),
+        (lambda folder: _edit(folder / "manifest.json", dt=1.0), "not the same time step"),
+        (lambda folder: _edit(folder / "manifest.json", engine="liggghts"), "not the same engine"),
     ],
 )
 def test_one_model_that_is_not_to_be_trusted_runs_anew_alone(done: Path, damage, words: str) -> None:
@@ -100,7 +100,7 @@ def test_one_model_that_is_not_to_be_trusted_runs_anew_alone(done: Path, damage,
 
 def test_more_repeats_than_on_record_are_run(done: Path) -> None:
     said = again(done, repeat=2)
-    assert all("1 CPU time(s) are on record, 2 are wanted" in text for text in said)
+    assert all("it has 1 CPU time(s), 2 are asked for" in text for text in said)
     assert len(read_result(done / "linear").extra["cpu_samples"]) == 2
     assert all("not run again" in text for text in again(done))
 

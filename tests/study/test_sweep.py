@@ -260,7 +260,7 @@ def test_a_bad_point_is_named_and_nothing_starts(case: Path, tmp_path: Path, knc
     assert not out.exists()
     code, told, _ = kncal(*command, "--skip-bad")
     assert code == 3
-    assert "left out: contact.e_n = 1.5" in told
+    assert "skipped: contact.e_n = 1.5" in told
     assert set(read_sweep(out)["contact.e_n"]) == {0.9, 0.5}
 
 
