@@ -7,14 +7,13 @@ here is what is special about it.
 from __future__ import annotations
 
 import os
-import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 from kncal.core.errors import InputError
-from kncal.core.process import ALONE, ProcessResult, run_process, solver_environment
+from kncal.core.process import ALONE, ProcessResult, death_guard, run_process, solver_environment
 from kncal.core.scratch import held_scratch
 
 MPIRUN = "mpirun"
@@ -106,13 +105,11 @@ def run_ranks(
             command, cwd=cwd, log=log, env=environment, timeout=timeout, on_line=on_line, pass_fds=pass_fds
         )
     # mpirun puts each rank into a process group of its own, where no signal to ours reaches it.
-    setpriv = shutil.which("setpriv")
-    guard = (setpriv, "--pdeathsig", "KILL", "--") if setpriv else ()
     with _shared_memory() as (folder, descriptors):
         if folder is not None:
             environment["OMPI_MCA_btl_vader_backing_directory"] = str(folder)
         process = run_process(
-            (*_start(ranks, oversubscribe), *guard, *command),
+            (*_start(ranks, oversubscribe), *death_guard(), *command),
             cwd=cwd,
             log=log,
             env=environment,

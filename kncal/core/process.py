@@ -11,7 +11,7 @@ import signal
 import subprocess
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -141,25 +141,23 @@ def run_process(
     if timeout is not None:
         positive("timeout", timeout, unit="s")
     begin, deadline = time.monotonic(), None if timeout is None else awake() + timeout
-    descriptor = _open_log(log)
+    descriptor = open_log(log)
     try:
         # Isolated programs of one rank share the name of Open MPI's session folder: the first that ends would remove
         # it under another that is just starting.
         with held_scratch() as (session, holding):
             environment = {**(solver_environment() if env is None else env), "OMPI_MCA_orte_tmpdir_base": str(session)}
             output = _Output(descriptor, on_line)
-            child = _start(command, cwd, environment, descriptor, (*pass_fds, *holding))
+            child = start(command, cwd, environment, descriptor, (*pass_fds, *holding))
             if child is None:
-                return _result("not_installed", None, None, 0.0, begin, output, command)
+                return result("not_installed", None, 0.0, begin, (), command)
             status, code, cpu, stopped = _watch(child, output, deadline, grace)
             output.finish()
     finally:
         os.close(descriptor)
     if code == _NOT_FOUND:
         status = "not_installed"
-    number = -code if code < 0 else None
-    result = _result(status, None if code < 0 else code, number, cpu, begin, output, command)
-    return replace(result, stopped=stopped)
+    return replace(result(status, code, cpu, begin, output.last, command), stopped=stopped)
 
 
 class _Output:
@@ -204,7 +202,8 @@ class _Output:
             self._on_line(text)
 
 
-def _open_log(log: Path) -> int:
+def open_log(log: Path) -> int:
+    """Open the file that gets a child's output, emptied; `RunError` if it cannot be."""
     flags = os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND | os.O_NOFOLLOW | os.O_CLOEXEC
     try:
         return os.open(log, flags, 0o644)
@@ -213,25 +212,35 @@ def _open_log(log: Path) -> int:
         raise RunError(f"{log}: cannot be opened as the log ({hint})") from error
 
 
-def _start(
+def death_guard() -> tuple[str, ...]:
+    """Return the words before a command that make it die with the thread that starts it, where ``setpriv`` exists."""
+    # Without it a killed kncal leaves an orphan that goes on writing into the folder. A signal on the parent's
+    # death can only be asked for in the child itself, and code run there between fork and exec (preexec_fn) is
+    # unsafe in a program with threads; setpriv does it after the exec.
+    setpriv = shutil.which("setpriv")
+    return (setpriv, "--pdeathsig", "KILL", "--") if setpriv else ()
+
+
+def start(
     command: Sequence[str], cwd: Path, environment: Mapping[str, str], output: int, pass_fds: Sequence[int]
 ) -> subprocess.Popen[bytes] | None:
-    """Start the child; None if there is no such program."""
+    """Start a child in a process group of its own, with no shell and no input; None if there is no such program.
+
+    Raises
+    ------
+    RunError
+        If it cannot be started though its program exists.
+    """
     program = command[0]
     if os.sep in program:
         program = str((cwd / program).absolute())
     found = shutil.which(program, path=environment.get("PATH", os.defpath))
     if found is None:
         return None
-    # Without it a killed kncal leaves an orphan that goes on writing into the folder. A signal on the parent's
-    # death can only be asked for in the child itself, and code run there between fork and exec (preexec_fn) is
-    # unsafe in a program with threads; setpriv does it after the exec.
-    setpriv = shutil.which("setpriv")
-    guard = [setpriv, "--pdeathsig", "KILL", "--"] if setpriv else []
     try:
         with shielded_start():
             return subprocess.Popen(  # noqa: S603 - a list of arguments, no shell
-                [*guard, found, *command[1:]],
+                [*death_guard(), found, *command[1:]],
                 cwd=cwd,
                 env=dict(environment),
                 stdin=subprocess.DEVNULL,
@@ -250,7 +259,7 @@ def _watch(
     """Wait for the end, ending the child if need be: status, code as of `Popen.returncode`, CPU seconds, stopped."""
     status, stopped = "exited", False
     try:
-        if not _wait(child.pid, deadline, output):
+        if not wait_for(child.pid, deadline, output):
             stopped = is_stopped(child.pid)
             status = "interrupted" if _end(child.pid, grace) else "timed_out"
     except KeyboardInterrupt:
@@ -258,13 +267,13 @@ def _watch(
         _end(child.pid, grace)
     except BaseException:
         _end(child.pid, grace)
-        _reap(child)
+        reap(child)
         raise
-    code, cpu = _reap(child)
+    code, cpu = reap(child)
     return status, code, cpu, stopped
 
 
-def _wait(pid: int, deadline: float | None, output: _Output | None) -> bool:
+def wait_for(pid: int, deadline: float | None, output: _Output | None) -> bool:
     """Wait until the child has ended (it stays a zombie, so its number stays its own) or the deadline is over."""
     pause = 0.002
     while True:
@@ -291,25 +300,26 @@ def _end(pid: int, grace: float) -> bool:
     hurried = False
     try:
         for _ in range(2):
-            _signal_group(pid, signal.SIGTERM)
-            _signal_group(pid, signal.SIGCONT)  # one that is stopped would not see it
-            if _wait(pid, awake() + grace, None):
+            signal_group(pid, signal.SIGTERM)
+            signal_group(pid, signal.SIGCONT)  # one that is stopped would not see it
+            if wait_for(pid, awake() + grace, None):
                 break
     except KeyboardInterrupt:
         hurried = True
-    _signal_group(pid, signal.SIGKILL)
+    signal_group(pid, signal.SIGKILL)
     return hurried
 
 
-def _reap(child: subprocess.Popen[bytes]) -> tuple[int, float]:
+def reap(child: subprocess.Popen[bytes]) -> tuple[int, float]:
     """Collect the ended child, after killing what it may have left in its group."""
-    _signal_group(child.pid, signal.SIGKILL)
+    signal_group(child.pid, signal.SIGKILL)
     _, state, usage = os.wait4(child.pid, 0)
     child.returncode = os.waitstatus_to_exitcode(state)
     return child.returncode, usage.ru_utime + usage.ru_stime
 
 
-def _signal_group(pid: int, number: int) -> None:
+def signal_group(pid: int, number: int) -> None:
+    """Send a signal to a child and all in its group."""
     try:
         os.killpg(pid, number)
     except ProcessLookupError:
@@ -327,21 +337,17 @@ def is_stopped(pid: int) -> bool:
     return state in "Tt" or any(map(is_stopped, children))
 
 
-def _result(
-    status: str,
-    code: int | None,
-    number: int | None,
-    cpu: float,
-    begin: float,
-    output: _Output,
-    command: Sequence[str],
+def result(
+    status: str, code: int | None, cpu: float, begin: float, last: Iterable[str], command: Sequence[str]
 ) -> ProcessResult:
+    """Return how a child ended that began at ``begin`` (`time.monotonic`), its code as of `Popen.returncode`."""
+    by_signal = code is not None and code < 0
     return ProcessResult(
         status=status,
-        returncode=code,
-        signal=number,
+        returncode=None if by_signal else code,
+        signal=-code if code is not None and by_signal else None,
         cpu_seconds=cpu,
         wall_seconds=time.monotonic() - begin,
-        last_lines=tuple(output.last),
+        last_lines=tuple(last),
         command=tuple(command),
     )

@@ -6,7 +6,6 @@ import os
 import shutil
 import signal
 import socket
-import subprocess
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,8 +13,8 @@ from pathlib import Path
 from kncal.core.awake import LOOK, awake
 from kncal.core.errors import RunError, SolverMissingError
 from kncal.core.files import decode_line
-from kncal.core.process import ProcessResult, is_stopped
-from kncal.core.stopping import check_stop, shielded_start
+from kncal.core.process import ProcessResult, is_stopped, open_log, reap, result, signal_group, start, wait_for
+from kncal.core.stopping import check_stop
 
 _TOKEN = 4  # bytes of a command and of an answer
 _GRACE = 10.0  # s that a solver may take to end once it was asked, or once its socket has closed
@@ -108,41 +107,25 @@ class SolverProcess:
         descriptor: int,
         pass_fds: Sequence[int] = (),
     ) -> None:
-        found = shutil.which(command[0], path=environment.get("PATH", os.defpath))
-        if found is None:
-            raise SolverMissingError(f"{command[0]} is not installed (no such program on PATH)")
-        # As in kncal.core.process: the signal on the parent's death is asked for after the fork, by a program.
-        setpriv = shutil.which("setpriv")
-        guard = [setpriv, "--pdeathsig", "KILL", "--"] if setpriv else []
         self.log, self._command = log, tuple(command)
         self._begin = time.monotonic()
         self._result: ProcessResult | None = None
         self._cpu = 0.0
-        flags = os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND | os.O_NOFOLLOW | os.O_CLOEXEC
-        try:
-            self._log = os.open(log, flags, 0o644)
-        except OSError as error:
-            raise RunError(f"{log}: cannot be opened as the log ({error.strerror})") from error
+        self._log = open_log(log)
         self._socket, theirs = socket.socketpair()
         inherited = (theirs.fileno(), descriptor)
+        own = {**environment, variable: f"{inherited[0]} {inherited[1]}"}
         try:
-            with shielded_start():
-                self._child = subprocess.Popen(  # noqa: S603 - a list of arguments, no shell
-                    [*guard, found, *command[1:]],
-                    cwd=cwd,
-                    env={**environment, variable: f"{inherited[0]} {inherited[1]}"},
-                    stdin=subprocess.DEVNULL,
-                    stdout=self._log,
-                    stderr=subprocess.STDOUT,
-                    pass_fds=(*inherited, *pass_fds),
-                    process_group=0,
-                )
-        except (OSError, ValueError) as error:
+            child = start(command, cwd, own, self._log, (*inherited, *pass_fds))
+            if child is None:
+                raise SolverMissingError(f"{command[0]} is not installed (no such program on PATH)")
+        except BaseException:
             self._socket.close()
             os.close(self._log)
-            raise RunError(f"{found}: cannot be started ({error})") from error
+            raise
         finally:
             theirs.close()
+        self._child = child
 
     @property
     def pid(self) -> int:
@@ -192,12 +175,12 @@ class SolverProcess:
             try:
                 raise silent(self._command[0], self.pid, limit, self.log) from late
             finally:
-                self._signal(signal.SIGKILL)
+                signal_group(self.pid, signal.SIGKILL)
                 self.end()
         except ConnectionError:
             pass  # the same as the end of what is to be received: it has gone
         except BaseException:  # Ctrl-C: the answer would be taken for that to another command
-            self._signal(signal.SIGKILL)
+            signal_group(self.pid, signal.SIGKILL)
             self.end()
             raise
         raise PeerLostError(self.end())
@@ -207,20 +190,10 @@ class SolverProcess:
         if self._result is None:
             self._socket.close()
             try:
-                self._wait(_GRACE)
+                wait_for(self.pid, awake() + _GRACE, None)
             finally:
-                self._signal(signal.SIGKILL)  # also what it may have left in its group
-                _, state, usage = os.wait4(self.pid, 0)
-                code = self._child.returncode = os.waitstatus_to_exitcode(state)
-                self._result = ProcessResult(
-                    status="exited",
-                    returncode=None if code < 0 else code,
-                    signal=-code if code < 0 else None,
-                    cpu_seconds=usage.ru_utime + usage.ru_stime,
-                    wall_seconds=time.monotonic() - self._begin,
-                    last_lines=self.last_lines(),
-                    command=self._command,
-                )
+                code, cpu = reap(self._child)
+                self._result = result("exited", code, cpu, self._begin, self.last_lines(), self._command)
                 os.close(self._log)
         return self._result
 
@@ -228,7 +201,7 @@ class SolverProcess:
         """Ask the solver to end by itself and collect it; one that does not is killed."""
         if self._result is None:
             self.send(command)
-            self._wait(_GRACE)
+            wait_for(self.pid, awake() + _GRACE, None)
         return self.end()
 
     def last_lines(self) -> tuple[str, ...]:
@@ -236,21 +209,6 @@ class SolverProcess:
         size = os.fstat(self._log).st_size
         block = os.pread(self._log, _KEPT, max(size - _KEPT, 0))
         return tuple(decode_line(line) for line in block.rstrip(b"\n").split(b"\n")[-20:])
-
-    def _wait(self, limit: float) -> None:
-        """Wait until the child has ended (it stays a zombie, so its number stays its own) or the limit is over."""
-        deadline, pause = awake() + limit, 0.002
-        while os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
-            if awake() > deadline:
-                return
-            time.sleep(pause)
-            pause = min(1.5 * pause, 0.05)
-
-    def _signal(self, number: int) -> None:
-        try:
-            os.killpg(self.pid, number)
-        except ProcessLookupError:
-            return  # all of it has gone
 
     def _bound_log(self) -> None:
         """Cut the log when it is too long; only while the solver waits, and it appends, so no line is torn."""
