@@ -12,9 +12,9 @@ from kncal.core.checks import Array
 from kncal.physics.impact import dimensionless_impact
 from kncal.physics.material import Material, pair, wall_pair
 from kncal.physics.timestep import contact_time
-from kncal.scene.bed_model import BedModel
 from kncal.scene.bed_scene import BedParticles, BedRun, BedScene, Column
-from kncal.scene.model import PairContact
+from kncal.scene.model import BedModel, PairContact
+from kncal.scene.needs import decide
 from kncal.scene.scene import ContactChoice
 
 D, G = 1.2e-3, 9.81
@@ -48,14 +48,16 @@ def model(bed: BedScene, kind: str = "linear", *, k_n: float = 100.0, dt: float 
     """Linear with k_n, or Tsuji from the materials, with the damping of ``bed.contact``."""
     choice, radius = bed.contact, 0.5 * bed.particles.diameter
     contacts = {}
-    for name, both in (
-        ("particles", pair(bed.particles.material, radius)),
-        ("walls", wall_pair(bed.particles.material, radius, bed.column.wall_material)),
+    for number, both in enumerate(
+        (
+            pair(bed.particles.material, radius),
+            wall_pair(bed.particles.material, radius, bed.column.wall_material),
+        )
     ):
         linear, m = kind == "linear", float(both.m_eff)
         k = k_n if linear else float(both.k_h)
         law = "linear" if linear else "tsuji"
-        contacts["particles", name] = PairContact(
+        contacts[0, number] = PairContact(
             law=law,
             k=k,
             n=1.0 if linear else 1.5,
@@ -78,10 +80,10 @@ def model(bed: BedScene, kind: str = "linear", *, k_n: float = 100.0, dt: float 
     return BedModel(
         scene=bed,
         kind=kind,
+        needs=decide(bed),
         contacts=contacts,
         dt=dt,
         steps_per_coupling=steps,
-        coupling=steps * dt,
         couplings=100,
         frames_every=20,
     )

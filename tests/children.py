@@ -16,7 +16,7 @@ import resource
 import numpy, pandas, scipy.spatial, pydantic
 from pathlib import Path
 import kncal.scene.case_file, kncal.scene.plan, kncal.record.series, kncal.runs.folder
-from kncal.scene.bed_planning import plan_bed
+from kncal.scene.plan import plan
 from kncal.scene.bed_case_file import parse_bed
 import kncal.record.liggghts_dump, kncal.record.liggghts_log, kncal.record.openfoam
 import kncal.scene.meshes, kncal.core.arrays

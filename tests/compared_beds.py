@@ -15,8 +15,8 @@ from kncal.physics.material import Material
 from kncal.record.facts import bed_facts
 from kncal.record.outcome import RunResult
 from kncal.record.series import BedSeries
-from kncal.scene.bed_planning import plan_bed
 from kncal.scene.bed_scene import BedParticles, BedRun, BedScene, Column, Gas
+from kncal.scene.plan import plan
 from kncal.scene.scene import ContactChoice
 
 Floats = NDArray[np.float64]
@@ -67,8 +67,10 @@ def run_data(
     bubble: bool = True,
 ) -> BedRunData:
     """A run of ``length`` s whose signals are AR(1) around ``means``, independent for every seed."""
-    model = plan_bed(scene, [kind])[kind]
-    model = replace(model, coupling=COUPLING, couplings=round(length / COUPLING), frames_every=EVERY)
+    model = plan(scene, [kind])[kind]
+    model = replace(
+        model, dt=COUPLING / model.steps_per_coupling, couplings=round(length / COUPLING), frames_every=EVERY
+    )
     n, generator = model.couplings, np.random.default_rng(seed)
     edges = np.concatenate([[0.0], np.geomspace(1e-9, 1e-4, 61)])
     facts = bed_facts(model, edges)

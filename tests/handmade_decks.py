@@ -22,9 +22,9 @@ def deck(model: Model, every: int) -> str:
     types = {body.name: k for k, body in enumerate(scene.bodies, start=1)}
     n = len(types)
     pairs = {}
-    for names, contact in model.contacts.items():
-        i, j = (types[name] - 1 for name in names)
-        pairs[i, j] = pairs[j, i] = contact
+    for a, b in scene.body_pairs():
+        i, j = types[a.name] - 1, types[b.name] - 1
+        pairs[i, j] = pairs[j, i] = model.between(a.name, b.name)
     any_contact = next(iter(model.contacts.values()))
 
     def matrix(name: str, value: object) -> str:

@@ -8,7 +8,9 @@ from collections.abc import Mapping
 
 from kncal.physics.material import Material, pair, sphere_mass, wall_pair
 from kncal.scene.model import Model, PairContact
+from kncal.scene.needs import decide
 from kncal.scene.scene import Particle, Scene, Vector, Wall
+from kncal.scene.species import SpeciesPair, species_of
 
 GLASS = Material(young=5e6, poisson=0.25, density=2500.0, name="soft glass")
 R = 1e-3
@@ -72,15 +74,17 @@ def model(
     record_every: int = 1,
 ) -> Model:
     """A model of ``scene`` whose dt is the shortest contact duration over ``steps_per_contact``."""
-    contacts = {}
+    contacts: dict[SpeciesPair, PairContact] = {}
+    species = species_of(scene)
     for a, b in scene.body_pairs():
         names = (a.name, b.name)
         e = e_n if isinstance(e_n, float) else e_n[names]
-        contacts[names] = contact(a, b, kind, e_n=e, k_n=k_n, friction=friction, end=end)
+        contacts[species.pair_of(names)] = contact(a, b, kind, e_n=e, k_n=k_n, friction=friction, end=end)
     dt = min(c.t_c for c in contacts.values()) / steps_per_contact
     return Model(
         scene=scene,
         kind=kind,
+        needs=decide(scene),
         contacts=contacts,
         dt=dt,
         t_end=t_end,

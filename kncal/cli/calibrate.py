@@ -166,20 +166,7 @@ class _CasePair(NamedTuple):
 
 
 def _pairs(scene: Scene | BedScene) -> Iterator[_CasePair]:
-    """Every pair of species of a case; of a bed: two particles, a particle and a wall."""
-    from kncal.scene.bed_scene import BedScene
-
-    if isinstance(scene, BedScene):
-        from kncal.scene.bed_planning import PARTICLES, WALLS, bed_pairs
-        from kncal.scene.pair_contact import numbers_of
-
-        wall = scene.column.wall_material
-        names = {PARTICLES: scene.particles.material.name, WALLS: "rigid" if wall is None else wall.name}
-        for (one, other), both in bed_pairs(scene).items():
-            exception = scene.contact.exception((one, names[one]), (other, names[other]))
-            numbers = numbers_of(scene.contact, exception)
-            yield _CasePair((one, other), both, numbers.e_n, numbers.v_0, numbers.k_n)
-        return
+    """Every pair of species of a case."""
     from kncal.scene.plan import pair_of, species_choices
     from kncal.scene.species import species_of
 

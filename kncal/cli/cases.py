@@ -78,13 +78,11 @@ def needs(case: str, *, json: Json = False) -> None:
     case
         A shipped case's name, a case folder or a case.toml.
     """
-    from kncal.scene.bed_needs import decide as decide_bed
-    from kncal.scene.bed_scene import BedScene
     from kncal.scene.case_file import load_case
     from kncal.scene.needs import decide
 
     scene = load_case(case)
-    frame = (decide_bed(scene) if isinstance(scene, BedScene) else decide(scene)).to_frame()
+    frame = decide(scene).to_frame()
     if json:
         show.as_json(frame.to_dict(orient="records"))
         return

@@ -61,8 +61,9 @@ def render(
     case
         A shipped case's name, a case folder or a case.toml.
     """
-    from kncal.runs.solving import README, schedule, warnings_of
+    from kncal.runs.solving import README, schedule
     from kncal.runs.workflow import render_case
+    from kncal.scene.limits import warnings_of
 
     by = by or RanksFlags()
     _trust(trust_templates)
@@ -100,8 +101,8 @@ def run(
     case
         A shipped case's name, a case folder or a case.toml.
     """
-    from kncal.runs.solving import warnings_of
     from kncal.runs.workflow import load, remarks
+    from kncal.scene.limits import warnings_of
 
     folder, results = _run(case, kinds(model), at or CaseFlags(), by or RanksFlags(), how or RunFlags())
     runs = {kind: load(folder / kind) for kind in results}
@@ -199,8 +200,9 @@ def _run(
     case: str, models: tuple[str, ...], at: CaseFlags, by: RanksFlags, how: RunFlags
 ) -> tuple[Path, dict[str, RunResult]]:
     """Run the models of a case, write their tables; returns the run folder and the results, all completed."""
-    from kncal.runs.solving import check_options, plan_checked, schedule, warnings_of
+    from kncal.runs.solving import check_options, plan_checked, schedule
     from kncal.runs.workflow import export, load, require_completed, run_case
+    from kncal.scene.limits import warnings_of
 
     _trust(how.trust_templates)
     scene, folder = at.load(case)

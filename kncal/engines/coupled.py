@@ -23,8 +23,8 @@ from kncal.engines.dpmfoam.installed import look as look_for_openfoam
 from kncal.engines.liggghts.installed import look as look_for_liggghts
 from kncal.engines.loop import CoupledCost, CoupledRun, Progress, gas_setup
 from kncal.record.outcome import RunResult
-from kncal.scene.bed_model import BedModel
 from kncal.scene.bed_scene import BedScene
+from kncal.scene.model import BedModel
 
 TRANSPORTS = ("auto", "live", "restart")
 

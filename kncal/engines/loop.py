@@ -23,7 +23,7 @@ from kncal.engines.interval import gas_interval
 from kncal.record.facts import bed_facts
 from kncal.record.series import SeriesWriter
 from kncal.record.steps import NOT_PASSED_LIMIT, REACTION_LIMIT, GasStep
-from kncal.scene.bed_model import BedModel
+from kncal.scene.model import BedModel
 
 #: Seconds of wall time between checkpoints.
 CHECKPOINT_SECONDS = 60.0

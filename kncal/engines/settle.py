@@ -28,8 +28,8 @@ from kncal.core.stopping import check_stop
 from kncal.engines.base import Progress, Tell
 from kncal.engines.liggghts.deck import bed_deck, data_text, deck_text
 from kncal.engines.liggghts.library import LiggghtsDem
-from kncal.scene.bed_model import BedModel
 from kncal.scene.bed_scene import BedScene
+from kncal.scene.model import BedModel
 from kncal.scene.placement import PLACEMENTS
 from kncal.scene.plan import MOST_STEPS
 

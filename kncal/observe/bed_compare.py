@@ -19,7 +19,7 @@ from kncal.observe.known import KnownAnswer, known_answers
 from kncal.observe.quantities import Quantities, quantities
 from kncal.record.outcome import RunResult
 from kncal.record.series import BedSeries
-from kncal.scene.bed_model import BedModel
+from kncal.scene.model import BedModel
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -185,7 +185,7 @@ class BedComparison:
                 for data, seen in runs
             },
             "models": {
-                data.model.kind: {"–".join(pair): asdict(c) for pair, c in data.model.contacts.items()}
+                data.model.kind: {"–".join(pair): asdict(c) for pair, c in data.model.named.items()}
                 for data in (self.linear, self.hertz)
             },
         }

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from kncal.core.errors import RunError
 from kncal.observe.cost import Cost, Speed, cost, speed
 from kncal.record.outcome import RunResult
-from kncal.scene.bed_model import BedModel
+from kncal.scene.model import BedModel
 
 #: What `RunResult.extra` of a bed run must hold, CPU times in s.
 EXTRA = ("transport", "cpu_dem", "cpu_gas", "cpu_exchange")

@@ -14,9 +14,9 @@ from kncal.observe.fluidization_curve import Branch
 from kncal.observe.invariants import Invariant
 from kncal.observe.known import KnownAnswer, known_sentence
 from kncal.observe.verdict import allowed, factor, not_judged
-from kncal.scene.bed_limits import COURANT_LARGE
 from kncal.scene.bed_metrics import NOT_AVERAGED
-from kncal.scene.bed_model import BedModel
+from kncal.scene.gas_limits import COURANT_LARGE
+from kncal.scene.model import BedModel
 
 
 def sentences(

@@ -21,7 +21,7 @@ from kncal.record.frames import Trajectory
 from kncal.record.outcome import RunResult
 from kncal.scene.limits import no_contact
 from kncal.scene.metrics import ExactRow, MetricRow, judge, metric_order, metric_unit
-from kncal.scene.model import Model, distinct
+from kncal.scene.model import Model
 from kncal.scene.species import listed
 
 if TYPE_CHECKING:
@@ -111,8 +111,8 @@ class Comparison:
         met = {event.pair for data in (self.linear, self.hertz) for event in data.observations.contacts}
         pairs: dict[tuple[str, str], list[str]] = {}
         for data in (self.linear, self.hertz):
-            for pair, contact in data.model.contacts.items():
-                for warning in contact.warnings.items() if pair in met else ():
+            for pair in sorted(met):
+                for warning in data.model.between(*pair).warnings.items():
                     names = pairs.setdefault(warning, [])
                     names.extend({"–".join(pair)} - set(names))
         texts = [(code, f"{listed(names)}: {text}") for (code, text), names in pairs.items()]
@@ -290,6 +290,10 @@ def _cost(kind: str, data: RunData) -> Cost:
 def _contacts(model: Model) -> list[dict[str, Any]]:
     """The contacts for the JSON file; pairs that are alike once, with their number."""
     return [
-        {"pair": list(names), "pairs_of_bodies": number, **{**asdict(contact), "warnings": dict(contact.warnings)}}
-        for names, (contact, number) in distinct(model.contacts).items()
+        {
+            "pair": list(model.species.names(pair)),
+            "pairs_of_bodies": model.species.meetings(pair),
+            **{**asdict(contact), "warnings": dict(contact.warnings)},
+        }
+        for pair, contact in model.contacts.items()
     ]

@@ -176,7 +176,7 @@ def observe(model: Model, trajectory: Trajectory) -> Observations:
         event, start, out = found[0]
         metrics |= _oblique(motions[event.pair], trajectory, event, start, out)
     for a, b in scene.body_pairs():
-        if isinstance(b, Wall) and model.contacts[a.name, b.name].friction > 0.0 and "slip_end_time" not in metrics:
+        if isinstance(b, Wall) and model.between(a.name, b.name).friction > 0.0 and "slip_end_time" not in metrics:
             metrics |= _slip_end(trajectory, a, motions[a.name, b.name])
     return Observations(contacts=tuple(event for event, _, _ in found), metrics=metrics, series=series)
 

@@ -56,7 +56,7 @@ def energy(model: Model, trajectory: Trajectory) -> Energy:
     ValidityError
         If a contact has friction, whose work cannot be told from frames.
     """
-    rubbing = ["–".join(names) for names, c in model.contacts.items() if c.friction > 0.0]
+    rubbing = ["–".join(names) for names, c in model.named.items() if c.friction > 0.0]
     if rubbing:
         raise ValidityError(f"{rubbing[0]}: the work of friction is not in the frames: expected smooth contacts")
     scene, frames = model.scene, len(trajectory.t)
@@ -81,7 +81,7 @@ def energy(model: Model, trajectory: Trajectory) -> Energy:
 
 def _contact(model: Model, names: tuple[str, str], series: OverlapSeries) -> tuple[Array, Array]:
     """Energy in the spring [J] and power of the dashpot [W] at every frame."""
-    c = model.contacts[names]
+    c = model.between(*names)
     delta = np.maximum(series.delta, 0.0)
     spring = c.k * delta ** (c.n + 1.0) / (c.n + 1.0)
     damping = np.where(delta > 0.0, c.c * delta**c.p, 0.0) * series.delta_dot

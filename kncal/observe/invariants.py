@@ -11,7 +11,7 @@ from kncal.core.checks import Array
 from kncal.observe.quantities import Quantities
 from kncal.record.series import BedSeries
 from kncal.record.steps import NOT_PASSED_LIMIT, REACTION_LIMIT
-from kncal.scene.bed_limits import COURANT_LARGEST
+from kncal.scene.gas_limits import COURANT_LARGEST
 
 #: Relative error of the solid volume in the void fraction field: rounding only, unless the solver's floor clips it.
 SOLIDS_LIMIT = 1e-9

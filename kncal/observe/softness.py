@@ -18,10 +18,10 @@ from kncal.observe.quantities import OVERLAP_LIMIT
 from kncal.physics.calibration import OVERLAP_DOUBTFUL
 from kncal.physics.material import sphere_mass
 from kncal.physics.statistics import MIN_SAMPLES, average, difference, start_up
-from kncal.scene.bed_model import BedModel
 from kncal.scene.load import bottom_overlaps
-from kncal.scene.model import Model, PairContact
+from kncal.scene.model import BedModel, Model, PairContact
 from kncal.scene.scene import Particle
+from kncal.scene.species import SpeciesPair
 from kncal.study.trade.base import Sign
 
 #: Speed over the speed of sound of a chain: at 0.1 densities vary by about 1 %.
@@ -159,11 +159,14 @@ def _contacts(data: RunData, reference: Model | None) -> tuple[Sign, ...]:
     if not events:
         return ()
     bodies = {p.name: p for p in model.scene.particles}
-    radius = {pair: min(bodies[name].radius for name in pair if name in bodies) for pair in model.contacts}
+    radius = {
+        (a.name, b.name): min(body.radius for body in (a, b) if isinstance(body, Particle))
+        for a, b in model.scene.body_pairs()
+    }
     worst = max(events, key=lambda event: event.delta_max / radius[event.pair])
     share = worst.delta_max / radius[worst.pair]
     mean = max(event.delta_mean / (2.0 * radius[event.pair]) for event in events)
-    softest = max(model.contacts, key=lambda pair: _at_rest(model, pair) / radius[pair])
+    softest = max(radius, key=lambda pair: _at_rest(model, pair) / radius[pair])
     found = [
         _overlap_share(share, f"of {'–'.join(worst.pair)}"),
         _mean_overlap(mean),
@@ -171,9 +174,9 @@ def _contacts(data: RunData, reference: Model | None) -> tuple[Sign, ...]:
         _static(_at_rest(model, softest) / (2.0 * radius[softest]), f"of {'–'.join(softest)} under its own weight"),
     ]
     fastest = max(events, key=lambda event: event.v_in)
-    contact, r = model.contacts[fastest.pair], radius[fastest.pair]
+    contact, r = model.between(*fastest.pair), radius[fastest.pair]
     mass = min(_mass(bodies[name]) for name in fastest.pair if name in bodies)
-    other = None if reference is None else reference.contacts.get(fastest.pair)
+    other = None if reference is None else reference.between(*fastest.pair)
     found.append(_sound(fastest.v_in, "the impact speed", contact, 2.0 * r, mass, other))
     return tuple(found)
 
@@ -186,7 +189,7 @@ def _at_rest(model: Model, pair: tuple[str, str]) -> float:
     scene = model.scene
     masses = [_mass(p) for p in scene.particles if p.name in pair]
     pull = float(np.linalg.norm(scene.gravity))
-    return model.contacts[pair].overlap_under(min(masses) * pull)
+    return model.between(*pair).overlap_under(min(masses) * pull)
 
 
 def _through(data: RunData) -> int:
@@ -272,5 +275,5 @@ def _sound(speed: float, what: str, contact: PairContact, d: float, mass: float,
     )
 
 
-def _shortest(contacts: Mapping[tuple[str, str], PairContact]) -> PairContact:
+def _shortest(contacts: Mapping[SpeciesPair, PairContact]) -> PairContact:
     return min(contacts.values(), key=lambda contact: contact.t_c)

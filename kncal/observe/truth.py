@@ -15,7 +15,6 @@ from kncal.record.frames import Trajectory
 from kncal.scene.ballistics import first_touch
 from kncal.scene.exact import ExactSolution, solve
 from kncal.scene.model import Model
-from kncal.scene.needs import decide
 from kncal.scene.scene import AXES
 
 #: Frames per contact and between contacts at which an exact motion is observed; the Hermite estimators are of
@@ -25,7 +24,7 @@ _FRAMES = 400
 
 def exact_motion(model: Model) -> ExactSolution | None:
     """Return the exact motion of ``model``; None where friction acts, for which there is no exact motion here."""
-    return None if decide(model.scene).uses("tangential") else solve(model, model.t_end)
+    return None if model.needs.uses("tangential") else solve(model, model.t_end)
 
 
 def exact_metrics(model: Model, motion: ExactSolution | None) -> dict[str, float] | None:
@@ -37,7 +36,7 @@ def exact_metrics(model: Model, motion: ExactSolution | None) -> dict[str, float
     """
     if motion is not None:
         return dict(observe(model, exact_trajectory(model, motion)).metrics)
-    if len(model.contacts) != 1 or not model.scene.walls:
+    if len(model.scene.body_pairs()) != 1 or not model.scene.walls:
         return None
     smooth = model.without_friction()
     frames = exact_trajectory(smooth, solve(smooth, model.t_end))
@@ -102,7 +101,7 @@ def predicted_errors(model: Model, observations: Observations) -> dict[str, floa
     """
     errors: dict[str, float] = {}
     for k, event in enumerate(observations.contacts, start=1):
-        contact = model.contacts[event.pair]
+        contact = model.between(*event.pair)
         law = LAWS.find(contact.law)
         worst = predict_error(law.name, contact.e_n, contact.t_c / model.dt, contact.end).worst
         suffix = "" if k == 1 else f"_{k}"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kncal.core.checks import Array
-from kncal.scene.bed_model import BedModel
+from kncal.scene.model import BedModel
 
 
 @dataclass(frozen=True, kw_only=True)

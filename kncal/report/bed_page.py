@@ -16,7 +16,7 @@ from kncal.report.bed_figures import draw_bed_figures
 from kncal.report.page import CONTACT_ENDS, Table, page_template
 from kncal.report.rows import lines_of, names_of, with_uncertainty
 from kncal.report.speeds import speeds_section
-from kncal.scene.bed_model import BedModel
+from kncal.scene.model import BedModel
 
 __all__ = ["with_uncertainty", "write_bed_report"]
 
@@ -185,7 +185,7 @@ def _contact_warnings(comparison: BedComparison) -> list[str]:
     return [
         f"{'–'.join(pair)}: {warning}"
         for data in (comparison.linear, comparison.hertz)
-        for pair, contact in data.model.contacts.items()
+        for pair, contact in data.model.named.items()
         for warning in contact.warnings.values()
     ]
 
@@ -223,14 +223,14 @@ def _settings(comparison: BedComparison) -> Table:
             ("gas enters", inlet, inlet),
             ("parcels per particle", *(2 * (str(gas.parcels_per_particle),))),
         ]
-    for pair in models[1].contacts:
+    for pair in models[1].named:
         name = "–".join(pair)
         rows.append((f"contact {name}", *(_contact(m, pair) for m in models)))
     return Table(("", "linear", "Hertz"), tuple((a, b, c) for a, b, c in rows))
 
 
 def _contact(model: BedModel, pair: tuple[str, str]) -> str:
-    c = model.contacts.get(pair)
+    c = model.named.get(pair)
     if c is None:
         return "–"
     stiffness = f"k_n = {quantity(c.k, 'N/m', 4)}" if c.n == 1.0 else f"k_h = {c.k:.4g} N/m^1.5"
@@ -242,7 +242,7 @@ def _conventions(linear: BedModel, hertz: BedModel, shown: set[str]) -> list[str
     scene = hertz.scene
     texts = [_MODEL_B] if scene.gas is not None else []
     if hertz.contacts:
-        ratios = {pair: c.k_t / c.k for pair, c in linear.contacts.items() if c.friction > 0.0}
+        ratios = {pair: c.k_t / c.k for pair, c in linear.named.items() if c.friction > 0.0}
         listed = ", ".join(f"{ratio:.3g} ({'–'.join(pair)})" for pair, ratio in ratios.items())
         how = "Mindlin's 4 G_eff/E_eff" if scene.contact.k_t_ratio is None else "as the case gives it"
         tangential = "no friction, so no tangential force in either run."

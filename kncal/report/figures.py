@@ -136,7 +136,7 @@ def _first_contact(data: RunData, pair: tuple[str, str]) -> _Lines | None:
     if event is None:
         return None
     scene, motion = data.model.scene, data.trajectory
-    contact = data.model.contacts[pair]
+    contact = data.model.between(*pair)
     first, second = _bodies(scene, pair)
     start = event.t_start
     end = start + (event.t_c if event.complete else 3.0 * contact.t_c)

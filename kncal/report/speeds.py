@@ -19,8 +19,8 @@ from kncal.observe.impact_speeds import (
 from kncal.physics.statistics import Interval
 from kncal.report.figures import Figure
 from kncal.report.page import Table
-from kncal.scene.bed_model import BedModel
-from kncal.scene.bed_planning import PARTICLES
+from kncal.scene.bed_scene import PARTICLES
+from kncal.scene.model import BedModel
 
 _PAIRS = {"particles": "two particles", "walls": "particle and wall"}
 _RUNS = {"linear": "linear", "hertz": "Hertz"}
@@ -78,7 +78,7 @@ def speeds_section(comparison: BedComparison, folder: Path) -> SpeedsSection | N
 
 def _v_0(model: BedModel, name: str) -> float | None:
     """Return the speed that the contact of two particles, or of one and a wall, is calibrated at [m/s]."""
-    return model.contacts[PARTICLES, name].v_0
+    return model.between(PARTICLES, name).v_0
 
 
 def _row(kind: str, speeds: ImpactSpeeds, v_0: float | None) -> tuple[str, ...]:

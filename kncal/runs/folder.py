@@ -32,10 +32,9 @@ from kncal.core.templating import foreign_hashes
 from kncal.engines.base import FRAMES, Profile
 from kncal.record.outcome import RunResult
 from kncal.runs.records import ATTEMPT, MANIFEST, RESULT, STARTED, CaseManifest, ModelManifest, Result, Started
-from kncal.scene.bed_model import BedModel
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import MOST_BYTES, dump_case, load_case
-from kncal.scene.model import KINDS, Model, distinct
+from kncal.scene.model import KINDS, BedModel, Model
 from kncal.scene.scene import Scene
 
 CASE, REPORT = "case.toml", "report"
@@ -232,8 +231,9 @@ def model_manifest(
         "steps": schedule.steps,
         "t_end": schedule.t_end,
         "contacts": {
-            f"{a}–{b}": {k: v for k, v in asdict(c).items() if v is not None} | {"pairs_of_bodies": number}
-            for (a, b), (c, number) in distinct(model.contacts).items()
+            "–".join(model.species.names(pair)): {k: v for k, v in asdict(c).items() if v is not None}
+            | {"pairs_of_bodies": model.species.meetings(pair)}
+            for pair, c in model.contacts.items()
         },
         "files_sha256": files,
         "rendered": _now(),

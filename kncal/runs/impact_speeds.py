@@ -22,11 +22,10 @@ from kncal.observe.impact_speeds import (
 )
 from kncal.physics.material import Pair
 from kncal.runs.workflow import load
-from kncal.scene.bed_planning import PARTICLES, WALLS, bed_pairs
-from kncal.scene.bed_scene import BedScene
+from kncal.scene.bed_scene import PARTICLES, BedScene
 from kncal.scene.model import PairContact
-from kncal.scene.pair_contact import PairNumbers, numbers_of
-from kncal.scene.plan import pair_of, species_choices
+from kncal.scene.pair_contact import PairNumbers
+from kncal.scene.plan import pair_choice, pair_of, species_choices
 from kncal.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -115,22 +114,17 @@ def run_speeds(folder: Path) -> RunSpeeds:
 
 
 def _of_bed(data: BedRunData) -> RunSpeeds:
-    scene, series = data.model.scene, data.series
+    scene, series, species = data.model.scene, data.series, data.model.species
     begin, _, doubt = window_start(series, scene.run.discard)
-    wall = scene.column.wall_material
-    materials = {PARTICLES: scene.particles.material.name, WALLS: "rigid" if wall is None else wall.name}
     speeds = bed_impact_speeds(series, begin, doubt)
     pairs = {
-        names[1]: MetPair(
-            names=names,
-            both=both,
-            numbers=numbers_of(
-                scene.contact,
-                scene.contact.exception((names[0], materials[names[0]]), (names[1], materials[names[1]])),
-            ),
-            contact=data.model.contacts[names],
+        b.name: MetPair(
+            names=(a.name, b.name),
+            both=pair_of(a, b),
+            numbers=pair_choice(scene, a, b),
+            contact=contact,
         )
-        for names, both in bed_pairs(scene).items()
+        for (a, b), contact in ((species.bodies(pair), contact) for pair, contact in data.model.contacts.items())
     }
     return RunSpeeds(
         scene=scene,
@@ -149,14 +143,14 @@ def _of_contacts(data: RunData) -> RunSpeeds:
     species, choices = data.model.species, species_choices(scene)
     alike: dict[tuple[object, ...], list[ContactEvent]] = {}
     for event in contacts:
-        contact = data.model.contacts[event.pair]
+        contact = data.model.between(*event.pair)
         like = (contact.m_eff, contact.R_eff, contact.E_eff, choices[species.pair_of(event.pair)])
         alike.setdefault(like, []).append(event)
     groups = list(alike.values()) or [[]]
     met = []
     for names in [group[0].pair for group in groups if group] or list(bodies)[:1]:
         a, b = bodies[names]
-        numbers, contact = choices[species.pair_of(names)], data.model.contacts[names]
+        numbers, contact = choices[species.pair_of(names)], data.model.between(*names)
         met.append(MetPair(names=names, both=pair_of(a, b), numbers=numbers, contact=contact))
     keys = [ALL] if len(met) == 1 else ["–".join(pair.names) for pair in met]
     return RunSpeeds(

@@ -32,12 +32,9 @@ from kncal.record.outcome import RunResult
 from kncal.record.series import read_series, series_reaches, write_series_csv
 from kncal.runs.folder import PIECES, SERIES, Schedule
 from kncal.runs.records import RESULT
-from kncal.scene.bed_limits import findings_of
-from kncal.scene.bed_model import BedModel
-from kncal.scene.bed_planning import plan_bed
 from kncal.scene.bed_scene import BedScene
-from kncal.scene.limits import warnings_of as scene_warnings
-from kncal.scene.model import Model
+from kncal.scene.limits import findings_of
+from kncal.scene.model import BedModel, Model
 from kncal.scene.plan import first_impact_speed, plan
 from kncal.scene.scene import Scene
 
@@ -110,7 +107,7 @@ def engine_for(
 
 
 def plan_checked(scene: Scene | BedScene, kinds: Iterable[str]) -> Mapping[str, Any]:
-    """Return the models of a scene by kind, refused where a limit says so (`warnings_of` has the rest).
+    """Return the plans of a scene by kind, refused where a limit says so (the rest: `kncal.scene.limits.warnings_of`).
 
     Raises
     ------
@@ -119,23 +116,11 @@ def plan_checked(scene: Scene | BedScene, kinds: Iterable[str]) -> Mapping[str, 
     """
     if not isinstance(scene, BedScene):
         return plan(scene, tuple(kinds))
-    models = plan_bed(scene, tuple(kinds))
-    refused = dict.fromkeys(f.message for f in findings_of(models.values()) if f.level == "refuse")
+    models = plan(scene, tuple(kinds))
+    refused = dict.fromkeys(f.message for _, f in findings_of(models.values()) if f.level == "refuse")
     if refused:
         raise CaseFileError(f"{scene.name}: " + "; ".join(refused))
     return models
-
-
-def warnings_of(models: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the warnings about runs of these models, each text once: limits of the scene, and of its contacts."""
-    beds = [model for model in models.values() if isinstance(model, BedModel)]
-    if not beds:
-        return scene_warnings(models)
-    texts = dict.fromkeys(finding.message for finding in findings_of(beds) if finding.level == "warn")
-    for model in beds:
-        for pair, contact in model.contacts.items():
-            texts |= {f"{'–'.join(pair)}: {t}": None for code, t in contact.warnings.items() if code != "attraction"}
-    return tuple(texts)
 
 
 def guessed_speed(scene: Scene | BedScene) -> float | None:
@@ -157,7 +142,7 @@ def trial(scene: S, v_0: float, time: float | None) -> S:
 
 def schedule(model: Any) -> Schedule:
     """Return how long the run of a model is."""
-    if isinstance(model, BedModel):
+    if model.couplings:
         steps, t_end = model.couplings * model.steps_per_coupling, model.couplings * model.coupling
         return Schedule(steps=steps, dt=model.dt, t_end=t_end, interval=model.coupling)
     return Schedule(steps=model.n_steps, dt=model.dt, t_end=model.t_end)
@@ -301,7 +286,7 @@ def start_positions(scene: BedScene, *, tell: Tell | None = None, progress: Prog
     except OSError as error:
         log.warning("settled packings cannot be kept (%s): each run settles its own", error)
         kept = None
-    return packing(plan_bed(to_settle(scene), ("linear",))["linear"], kept, tell=tell, progress=progress)
+    return packing(plan(to_settle(scene), ("linear",))["linear"], kept, tell=tell, progress=progress)
 
 
 def read_run(scene: Scene | BedScene, result: RunResult) -> RunData | BedRunData:
@@ -314,7 +299,7 @@ def read_run(scene: Scene | BedScene, result: RunResult) -> RunData | BedRunData
     """
     folder, kind = result.folder, result.model
     if isinstance(scene, BedScene):
-        model = plan_bed(scene, (kind,))[kind]
+        model = plan(scene, (kind,))[kind]
         series = read_series(folder / PIECES)
         if len(series.t) != model.couplings:
             raise ReadError(f"{folder}: {len(series.t)} couplings, expected {model.couplings}; run the case again")

@@ -47,11 +47,10 @@ from kncal.runs.solving import (
     read_run,
     schedule,
     solving,
-    warnings_of,
 )
 from kncal.runs.started import started
 from kncal.scene.bed_scene import BedScene
-from kncal.scene.limits import no_contact
+from kncal.scene.limits import no_contact, warnings_of
 from kncal.scene.model import KINDS
 from kncal.scene.scene import Scene
 

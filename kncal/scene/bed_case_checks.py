@@ -1,6 +1,6 @@
 """What the values of a bed's case file must satisfy together; checks yield (path of the key, what is wrong).
 
-Only contradictions are refused here. What is possible but unwise for the solvers is found by `kncal.scene.bed_limits`.
+Only contradictions are refused here. What is possible but unwise for the solvers is found by `kncal.scene.limits`.
 """
 
 from __future__ import annotations

@@ -8,13 +8,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from kncal.physics.material import Material
-from kncal.scene.scene import ContactChoice
+from kncal.scene.scene import ContactChoice, PairChoice, Particle, Wall, names_of
 
 #: What bounds the bed in y: walls, periodic, or one layer of particles held in its plane (no front and back walls).
 DEPTHS = ("walls", "periodic", "layer")
 #: Drag laws of stock DPMFoam (names of OpenFOAM v1912 without "Drag").
 #: Where the particles start: settled by a run of their own, on a loose lattice, or where the case says.
 PACKINGS = ("settled", "lattice", "given")
+#: The two kinds of bodies in a bed: their names in plans, and in the exceptions of a case.
+PARTICLES, WALLS = "particles", "walls"
 #: Parcels that may share a particle's volume.
 PARCELS = (1, 8, 27)
 
@@ -156,3 +158,14 @@ class BedScene:
     run: BedRun
     tolerances: Mapping[str, float] = field(default_factory=dict)
     overrules: Mapping[str, bool] = field(default_factory=dict)
+
+    @property
+    def bodies(self) -> tuple[Particle | Wall, ...]:
+        """A particle and a wall that stand for all of them."""
+        p = self.particles
+        one = Particle(name=PARTICLES, material=p.material, radius=p.diameter / 2.0, position=(0.0, 0.0, 0.0))
+        return one, Wall(name=WALLS, axis="z", position=0.0, material=self.column.wall_material)
+
+    def choice_for(self, a: Particle, b: Particle | Wall) -> PairChoice | None:
+        """Return the first exception of the case that names both bodies (or their materials), or None."""
+        return self.contact.exception(names_of(a), names_of(b))

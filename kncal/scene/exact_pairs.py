@@ -73,7 +73,7 @@ def pairs_of(model: Model) -> list[BodyPair]:
     index = {p.name: i for i, p in enumerate(model.scene.particles)}
     pairs = []
     for a, b in model.scene.body_pairs():
-        contact = model.contacts[a.name, b.name]
+        contact = model.between(a.name, b.name)
         wall = isinstance(b, Wall)
         axis = AXES.index(b.axis) if isinstance(b, Wall) else 0
         pairs.append(

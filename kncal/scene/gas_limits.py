@@ -1,66 +1,108 @@
-"""What gas cells, gas properties and coupling interval leave out: findings for `kncal.scene.bed_limits`."""
+"""What gas, gas step and coupling interval of a bed leave out: limits for `kncal.scene.limits`.
+
+Where a bound rests on an estimate (speeds, voidage), the message says so. Bounds without a source here are those of
+the coupled algorithm: void fraction from particle centres, constant gas force on a particle during the coupling
+interval.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from typing import Literal
 
-from kncal.physics.fluidization import relaxation_time
-from kncal.scene.bed_model import BedModel
+from kncal.physics.fluidization import minimum_fluidization_velocity, relaxation_time, terminal_velocity
 from kncal.scene.bed_scene import BedScene, Gas
 from kncal.scene.finding import Finding
+from kncal.scene.load import largest_superficial, settled_height
+from kncal.scene.model import Plan
 
-#: Gas cell edge over particle diameter from which a cell averages over what it is to resolve, and share of the bed at
-#: rest, or of its wider side, that it may be.
-CELL_LARGE, CELL_SHARE = 8.0, 0.25
-#: Fewer particles than this are no bed that gas cells would have to resolve.
-FEWEST = 50
+#: Courant number U dt/h of the gas step.
+COURANT_LARGEST, COURANT_LARGE = 2.0, 1.0
+#: Coupling interval over particle relaxation time: the drag is too small by about this share.
+BIAS_LARGEST, BIAS_LARGE = 0.2, 0.01
+#: Way of a particle in one coupling interval over its diameter.
+WAY_LARGEST, WAY_LARGE = 1.0, 0.5
 #: Gas velocity from which its density is no longer constant [m/s], as it is in the solver: Mach 0.3 of air.
 FAST_GAS = 100.0
 #: Gas density over particle density from which added mass, half of that ratio of the inertia, is no longer small.
 HEAVY_GAS = 0.05
 
 
-def coarse_cells(scene: BedScene, height: float, fine: float) -> Iterator[Finding]:
-    """Find gas cells too large for the bed.
+def _fastest_gas(scene: BedScene, gas: Gas, eps: float) -> tuple[float, str]:
+    """Estimate of the fastest interstitial gas [m/s], and where it is."""
+    if gas.jet is not None:
+        return gas.jet.velocity, "the jet"
+    share = eps if scene.particles.count > 1 else 1.0
+    return largest_superficial(scene) / share, f"the bed (U_0/{share:.2g})" if share < 1.0 else "the column"
 
-    Parameters
-    ----------
-    height : of the bed at rest [m]
-    fine : edge over diameter below which cells are too small: no finer ones are advised
-    """
-    column, p = scene.column, scene.particles
-    if p.count < FEWEST:
-        return
-    d = p.diameter
-    edges = {
-        axis: size / n
-        for axis, size, n in zip("xyz", (column.width, column.depth, column.height), column.cells, strict=True)
-        if axis != "y" or column.front_back != "layer"  # a layer's only cell in depth is as deep as the case says
-    }
-    wide = "y" if "y" in edges and column.depth > column.width else "x"
-    side = column.depth if wide == "y" else column.width
-    fitting = math.floor(side / (fine * d) * (1.0 + 1e-9))
-    if not p.frozen and column.cells["xyz".index(wide)] == 1 and fitting >= 2:
+
+def courant(model: Plan[BedScene], gas: Gas, eps: float) -> Iterator[Finding]:
+    """Find gas steps too long for the gas cells."""
+    scene = model.scene
+    speed, place = _fastest_gas(scene, gas, eps)
+    h = scene.column.height / scene.column.cells[2]
+    courant = speed * model.gas_step / h
+    if courant > COURANT_LARGE:
+        level: Literal["refuse", "warn"] = "refuse" if courant > COURANT_LARGEST else "warn"
         yield Finding(
-            "cell-single",
-            "refuse",
-            f"one gas cell over the whole {'depth' if wide == 'y' else 'width'} of {side / d:.3g} particle diameters: "
-            "a bed that moves has gas that rises here and particles that sink there, which one cell cannot hold: "
-            f"expected column.cells of at most {CELL_LARGE:g} diameters, {fitting} in {wide}",
+            "courant",
+            level,
+            f"Courant number of the gas step about {courant:.3g}, from {speed:.3g} m/s in {place}: expected below "
+            f"{COURANT_LARGE:g} (refused above {COURANT_LARGEST:g}); run.gas_step = {COURANT_LARGE * h / speed:.2g} s "
+            "would do",
         )
+
+
+def relaxation(model: Plan[BedScene], gas: Gas, eps: float) -> Iterator[Finding]:
+    """Find coupling intervals too long for the drag on particles that move."""
+    scene = model.scene
+    p = scene.particles
+    rho = float(p.material.density)
+    if p.frozen:
         return
-    large = {axis: f"{edge / d:.3g} particle diameters" for axis, edge in edges.items() if edge > CELL_LARGE * d}
-    if edges["z"] > CELL_SHARE * height:
-        large.setdefault("z", f"{edges['z'] / height:.2g} of the height of the bed at rest ({height:.3g} m)")
-    if not p.frozen and edges[wide] > CELL_SHARE * side * (1.0 + 1e-9):
-        large.setdefault(wide, f"{edges[wide] / side:.2g} of the bed's {'depth' if wide == 'y' else 'width'}")
-    for axis, size in large.items():
+    fall = float(terminal_velocity(p.diameter, rho, gas.density, gas.viscosity, scene.gravity))
+    if p.count == 1:
+        slip, voidage = fall, 1.0
+    else:
+        slip, voidage = largest_superficial(scene) / eps, eps
+    tau = float(relaxation_time(rho, p.diameter, gas.density, gas.viscosity, slip=slip, eps_g=voidage))
+    bias = model.coupling / tau
+    if bias > BIAS_LARGE:
         yield Finding(
-            "cell-coarse",
-            "warn",
-            f"gas cells are {size} in {axis}: they average over what drives the bed (bubbles, its surface): expected "
-            f"at most {CELL_LARGE:g} diameters and {CELL_SHARE:g} of the bed; use more column.cells, or a larger bed",
+            "relaxation",
+            "refuse" if bias > BIAS_LARGEST else "warn",
+            f"the coupling interval is {bias:.2g} of the particle relaxation time ({tau:.2g} s at a slip of "
+            f"{slip:.3g} m/s and eps_g = {voidage:.2g}): the drag comes out about {100.0 * bias / (1.0 + bias):.2g} % "
+            f"too small; run.coupling = {BIAS_LARGE * tau:.2g} s would bring that to 1 %",
+        )
+
+
+def _particle_speed(scene: BedScene, gas: Gas) -> tuple[float, str]:
+    """Estimate of the fastest particles [m/s], and from what."""
+    p = scene.particles
+    excess = float(terminal_velocity(p.diameter, float(p.material.density), gas.density, gas.viscosity, scene.gravity))
+    if p.count == 1:
+        return max(abs(largest_superficial(scene) - excess), 0.0), "its velocity relative to the column in the end"
+    # Bubbles and slugs throw particles up, and drop them, by about the height of the bed.
+    fall = math.sqrt(2.0 * scene.gravity * settled_height(scene))
+    return max(fall, scene.contact.v_0 or 0.0), "a fall from the top of the bed, or contact.v_0"
+
+
+def way(model: Plan[BedScene], gas: Gas) -> Iterator[Finding]:
+    """Find coupling intervals in which particles move too far."""
+    if model.scene.particles.frozen:
+        return
+    speed, why = _particle_speed(model.scene, gas)
+    d = model.scene.particles.diameter
+    way = speed * model.coupling / d
+    if way > WAY_LARGE:
+        yield Finding(
+            "particle-way",
+            "refuse" if way > WAY_LARGEST else "warn",
+            f"particles move about {way:.2g} diameters per coupling interval ({speed:.3g} m/s, {why}): expected below "
+            f"{WAY_LARGE:g}, or the gas solver bounces them off the walls itself; run.coupling = "
+            f"{WAY_LARGE * d / speed:.2g} s would do",
         )
 
 
@@ -82,8 +124,9 @@ def added_mass(scene: BedScene, gas: Gas) -> Iterator[Finding]:
         )
 
 
-def fast_gas(speed: float) -> Iterator[Finding]:
-    """Find a gas so fast that it is compressed; ``speed``: an estimate of its largest [m/s]."""
+def fast_gas(scene: BedScene, gas: Gas, eps: float) -> Iterator[Finding]:
+    """Find a gas so fast that it is compressed."""
+    speed, _ = _fastest_gas(scene, gas, eps)
     if speed > FAST_GAS:
         yield Finding(
             "gas-fast",
@@ -93,7 +136,7 @@ def fast_gas(speed: float) -> Iterator[Finding]:
         )
 
 
-def held_drag(model: BedModel, gas: Gas, speed: float, eps: float, small: float) -> Iterator[Finding]:
+def held_drag(model: Plan[BedScene], gas: Gas, eps: float) -> Iterator[Finding]:
     """Find gas steps too long for the drag on particles that are held.
 
     The gas solver moves its parcel by implicit drag from rest: the mean drag of a step dt is that of the start divided
@@ -101,11 +144,9 @@ def held_drag(model: BedModel, gas: Gas, speed: float, eps: float, small: float)
 
     Parameters
     ----------
-    speed : largest superficial gas velocity [m/s]
     eps : void fraction [-]
-    small : dt/tau that is passed over
     """
-    p = model.scene.particles
+    p, speed = model.scene.particles, largest_superficial(model.scene)
     if not p.count or not p.frozen or speed == 0.0:
         return
     voidage = eps if p.count > 1 else 1.0
@@ -114,12 +155,38 @@ def held_drag(model: BedModel, gas: Gas, speed: float, eps: float, small: float)
         relaxation_time(float(p.material.density), p.diameter, gas.density, gas.viscosity, slip=slip, eps_g=voidage)
     )
     bias = model.gas_step / tau
-    if bias > small:
+    if bias > BIAS_LARGE:
         yield Finding(
             "held-drag",
             "warn",
             f"the particles are held, and the gas step is {bias:.2g} of their relaxation time ({tau:.2g} s at a slip "
             f"of {slip:.3g} m/s and eps_g = {voidage:.2g}): drag and pressure drop come out divided by about "
-            f"{1.0 + bias:.3g}, {100.0 * bias / (1.0 + bias):.2g} % too small; run.gas_step = {small * tau:.2g} s "
-            f"would bring that to {100.0 * small:g} %",
+            f"{1.0 + bias:.3g}, {100.0 * bias / (1.0 + bias):.2g} % too small; run.gas_step = {BIAS_LARGE * tau:.2g} s "
+            f"would bring that to {100.0 * BIAS_LARGE:g} %",
+        )
+
+
+def lift(scene: BedScene, gas: Gas, eps: float) -> Iterator[Finding]:
+    """Find a gas too slow to fluidise the bed, or so fast that it carries it out."""
+    p = scene.particles
+    if p.count == 1 or (speed := largest_superficial(scene)) == 0.0:
+        return
+    U_mf = float(
+        minimum_fluidization_velocity(p.diameter, p.material.density, gas.density, gas.viscosity, eps, scene.gravity)
+    )
+    if speed < U_mf:
+        yield Finding(
+            "below-u-mf",
+            "warn",
+            f"the gas ({speed:.3g} m/s superficial, at most) does not fluidise the bed: U_mf is about {U_mf:.3g} m/s "
+            f"(Ergun at eps_g = {eps:.3g}): expected more for a bubbling bed, or"
+            " particles.frozen = true for a packed one",
+        )
+    v_t = float(terminal_velocity(p.diameter, p.material.density, gas.density, gas.viscosity, scene.gravity))
+    if speed >= v_t:
+        yield Finding(
+            "carried-out",
+            "warn",
+            f"the gas ({speed:.3g} m/s superficial) is faster than a particle falls ({v_t:.3g} m/s): the bed is "
+            "carried to the lid, which is a wall for particles: expected less for a bed",
         )

@@ -1,73 +1,131 @@
-"""What a scene of single contacts runs into, found before a run: refused, or said (for beds: `kncal.scene.bed_limits`).
+"""What a scene runs into, found before a run: refused, or said; nothing is changed.
 
-A calibration holds for v_0; a scene also has its own speeds, weights and start, and its time step. Solvers take any of
-them without a word.
+The limits themselves are functions of `kncal.scene.contact_limits`, `kncal.scene.box_limits` and
+`kncal.scene.gas_limits`; `LIMITS` says for which scenes each speaks.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from kncal.physics.calibration import OVERLAP_DOUBTFUL, OVERLAP_MEANINGLESS
-from kncal.physics.material import sphere_mass
-from kncal.physics.timestep import verlet_limit
-from kncal.scene.ballistics import first_touch, initial_overlap
-from kncal.scene.finding import Finding, require_possible
-from kncal.scene.model import Model, PairContact
-from kncal.scene.scene import AXES, Particle, Wall
-from kncal.scene.species import SpeciesPair, listed
-from kncal.scene.step_error import step_error
+from kncal.scene import box_limits, contact_limits, gas_limits
+from kncal.scene.bed_scene import BedScene
+from kncal.scene.finding import Finding
+from kncal.scene.load import EPS_SETTLED, settled_voidage
+from kncal.scene.model import Plan
+from kncal.scene.scene import Scene
+from kncal.scene.species import listed
 
-#: Overlap at the start over the smaller radius that is worth a word; a stack squeezed on purpose starts with 0.2.
-START_LARGE = 0.25
-#: Most bodies that touch one sphere at once: its nearest neighbours in the densest packing of equal spheres.
-MOST_CONTACTS = 12
-#: The error of the step falls with the number of steps, but not smoothly: so many times more steps surely have less.
-STEPS_MARGIN = 1.5
-#: Of limits of one sort this many are told one by one.
-MOST_ALIKE = 3
-#: Fewer frames in a contact than this, or frames of a bed, are no picture of it any more.
-FEWEST_FRAMES = 5
-
-_Bodies = tuple[Particle, Particle | Wall]
-#: Whom a limit concerns, how bad it is (within one sort), and what is said.
-_Found = tuple[_Bodies, float, Finding]
+#: Limits that differ from model to model; of the others (gas, coupling) each is said once.
+_OF_CONTACTS = ("dem-step", "static-overlap")
 
 
-def check_scene(model: Model) -> tuple[Finding, ...]:
+class Limit(NamedTuple):
+    """One limit: for which scenes it speaks, and what finds it in a plan and the voidage of the packing [-]."""
+
+    speaks: Callable[[Any], bool]
+    find: Callable[[Plan[Any], float], Iterable[Finding]]
+
+
+def _few(scene: Scene | BedScene) -> bool:
+    return isinstance(scene, Scene)
+
+
+def _bed(scene: Scene | BedScene) -> bool:
+    return isinstance(scene, BedScene)
+
+
+def _gas(scene: Scene | BedScene) -> bool:
+    return isinstance(scene, BedScene) and scene.gas is not None
+
+
+def _heavy(scene: Scene | BedScene) -> bool:
+    """Whether gas acts against the weight of particles."""
+    return isinstance(scene, BedScene) and scene.gas is not None and scene.particles.count > 0 < scene.gravity
+
+
+def _loose(scene: Scene | BedScene) -> bool:
+    """Whether gas acts against the weight of particles that can move."""
+    return isinstance(scene, BedScene) and _heavy(scene) and not scene.particles.frozen
+
+
+#: Every limit, in the order in which they are said.
+LIMITS = (
+    Limit(_few, lambda p, _: contact_limits.first_impacts_starts_and_rest(p)),
+    Limit(_few, lambda p, _: contact_limits.steps(p)),
+    Limit(_few, lambda p, _: contact_limits.recording(p)),
+    Limit(_bed, lambda p, _: box_limits.depth(p.scene)),
+    Limit(_bed, lambda p, _: contact_limits.dem_steps(p)),
+    Limit(_bed, lambda p, _: contact_limits.bottom_of_bed(p)),
+    Limit(_gas, lambda p, _: box_limits.jet_faces(p.scene)),
+    Limit(_gas, lambda p, _: box_limits.small_cells(p.scene)),
+    Limit(_gas, lambda p, eps: gas_limits.courant(p, p.scene.gas, eps)),
+    Limit(_gas, lambda p, eps: box_limits.coarse_cells(p.scene, eps)),
+    Limit(_gas, lambda p, _: gas_limits.added_mass(p.scene, p.scene.gas)),
+    Limit(_gas, lambda p, eps: gas_limits.fast_gas(p.scene, p.scene.gas, eps)),
+    Limit(_gas, lambda p, eps: gas_limits.held_drag(p, p.scene.gas, eps)),
+    Limit(_heavy, lambda p, eps: gas_limits.relaxation(p, p.scene.gas, eps)),
+    Limit(_heavy, lambda p, _: gas_limits.way(p, p.scene.gas)),
+    Limit(_loose, lambda p, eps: gas_limits.lift(p.scene, p.scene.gas, eps)),
+    Limit(_loose, lambda p, eps: box_limits.room(p.scene, p.scene.gas, eps)),
+)
+
+
+def check(plan: Plan[Scene | BedScene], positions: ArrayLike | None = None) -> tuple[Finding, ...]:
     """Return every limit that a scene runs into, refusals first; warnings of its contacts are in `PairContact`.
 
     Of bodies that are alike (`kncal.scene.species`) the worst.
+
+    Parameters
+    ----------
+    plan : Plan
+    positions : (n, 3) centres of the settled packing [m]; its voidage is then measured instead of assumed
     """
-    alike = [*_first_impacts(model), *_starts(model), *_resting(model)]
-    found = [*_of_each_kind(model, alike), *_steps(model), *_recording(model)]
+    scene, eps = plan.scene, EPS_SETTLED
+    found: list[Finding] = []
+    if positions is not None and isinstance(scene, BedScene):
+        x = np.asarray(positions, dtype=np.float64)
+        found += box_limits.places(scene, x)
+        if all(finding.code != "positions" for finding in found):
+            eps = settled_voidage(scene, x)
+    for limit in LIMITS:
+        if limit.speaks(scene):
+            found += limit.find(plan, eps)
     return tuple(sorted(found, key=lambda finding: finding.level != "refuse"))
 
 
-def require_possible_scene(model: Model) -> None:
-    """Raise `CaseFileError` if a limit refuses the scene: something goes through something else for sure."""
-    require_possible(_of_each_kind(model, [*_first_impacts(model), *_resting(model)]))
+def findings_of(plans: Iterable[Plan[Scene | BedScene]]) -> Iterator[tuple[str, Finding]]:
+    """Yield the limits that the plans of one scene run into, and before each its model; of gas and coupling only once.
 
-
-def warnings_of(models: Mapping[str, Model]) -> tuple[str, ...]:
-    """Return the warnings about the runs of these models, each text once, with the pairs that it is about.
-
-    Attraction at the end of a contact is none: nearly every damped contact has it.
+    Coupling intervals of the models are whole numbers of their own steps, so numbers in the texts differ a little.
     """
-    texts: dict[str, None] = {}
-    for kind, model in models.items():
-        texts |= {f"{kind}: {finding.message}": None for finding in check_scene(model) if finding.level == "warn"}
+    said: set[tuple[str, str]] = set()
+    for plan in plans:
+        shared = not _few(plan.scene)
+        found = [f for f in check(plan) if not shared or f.code in _OF_CONTACTS or (f.code, f.level) not in said]
+        said |= {(f.code, f.level) for f in found}
+        yield from (("" if shared else f"{plan.kind}: ", f) for f in found)
+
+
+def warnings_of(plans: Mapping[str, Plan[Scene | BedScene]]) -> tuple[str, ...]:
+    """Return the warnings about the runs of these plans, each text once, with the pairs that it is about.
+
+    Attraction at the end of the contact, which nearly every damped contact has, is left to the tables.
+    """
+    texts = dict.fromkeys(
+        f"{model}{found.message}" for model, found in findings_of(plans.values()) if found.level == "warn"
+    )
     pairs: dict[str, dict[str, None]] = {}
     codes: dict[str, str] = {}
-    for model in models.values():
-        for which, contact in model.by_species.items():
+    for plan in plans.values():
+        for which, contact in plan.contacts.items():
             for code, text in contact.warnings.items():
                 if code != "attraction":
-                    pairs.setdefault(text, {})[model.species.label(which)] = None
+                    pairs.setdefault(text, {})[plan.species.label(which)] = None
                     codes[text] = code
     told: dict[str, list[str]] = {}
     for text, names in pairs.items():
@@ -77,194 +135,16 @@ def warnings_of(models: Mapping[str, Model]) -> tuple[str, ...]:
 
 def _first(texts: list[str]) -> Iterator[str]:
     """The first few of the warnings of one kind; of the others how many they are."""
-    yield from texts[:MOST_ALIKE]
-    if len(texts) > MOST_ALIKE:
-        yield f"{len(texts) - MOST_ALIKE} more kinds of pairs have the last of these limits, with other numbers"
+    most = contact_limits.MOST_ALIKE
+    yield from texts[:most]
+    if len(texts) > most:
+        yield f"{len(texts) - most} more kinds of pairs have the last of these limits, with other numbers"
 
 
-def _of_each_kind(model: Model, found: Iterable[_Found]) -> Iterator[Finding]:
-    """Of the findings about bodies that are alike the worst, and of each kind of limit a few."""
-    worst: dict[tuple[str, str, SpeciesPair], tuple[float, Finding]] = {}
-    number: dict[object, int] = {}
-    for (a, b), bad, finding in found:
-        key = (finding.code, finding.level, model.species.pair_of((a.name, b.name)))
-        number[key] = number.get(key, 0) + 1
-        if key not in worst or bad > worst[key][0]:
-            worst[key] = bad, finding
-    by_limit: dict[str, list[tuple[float, Finding, int]]] = {}
-    for which, (bad, finding) in worst.items():
-        by_limit.setdefault(finding.code, []).append((bad, finding, number[which] - 1))
-    for code, each in by_limit.items():
-        each.sort(key=lambda item: (item[1].level != "refuse", -item[0]))
-        for _, finding, others in each[:MOST_ALIKE]:
-            more = f" (the worst of {others + 1} pairs of bodies alike)" if others else ""
-            yield replace(finding, message=finding.message + more)
-        if len(each) > MOST_ALIKE:
-            yield Finding(code, "warn", f"{len(each) - MOST_ALIKE} more kinds of pairs have the last of these limits")
-
-
-def _pairs(model: Model) -> Iterator[tuple[_Bodies, PairContact, str, float]]:
-    """Bodies, contact, names in words, and the radius of the smaller sphere [m]."""
-    for a, b in model.scene.body_pairs():
-        smaller = a.radius if isinstance(b, Wall) else min(a.radius, b.radius)
-        yield (a, b), model.contacts[a.name, b.name], f"{a.name}–{b.name}", smaller
-
-
-def overlap_at(contact: PairContact, speed: float) -> float | None:
-    """Return the largest overlap [m] of an impact at ``speed`` [m/s]: as v, or as v^(4/5) for Hertz; None without v_0.
-
-    For the laws whose damping grows with the speed an upper bound above v_0.
-    """
-    if contact.delta_max is None or not contact.v_0:
-        return None
-    return float(contact.delta_max * (speed / contact.v_0) ** (2.0 / (contact.n + 1.0)))
-
-
-def _first_impacts(model: Model) -> Iterator[_Found]:
-    """The calibration refuses an overlap that reaches the radius at v_0; here at the speeds of the scene."""
-    touches: list[tuple[float, float, float, str, float | None, _Bodies]] = []
-    for (a, b), contact, who, radius in _pairs(model):
-        touch = first_touch(model.scene, a, b)
-        if touch is not None and (delta := overlap_at(contact, touch[1])) is not None:
-            touches.append((touch[0], touch[1], delta / radius, who, contact.v_0, (a, b)))
-    for k, (_, speed, share, who, v_0, bodies) in enumerate(sorted(touches, key=lambda touch: touch[:4])):
-        if v_0 is None or speed <= v_0 * (1.0 + 1e-9) or share <= OVERLAP_DOUBTFUL:
-            continue  # what happens at v_0 is said by the calibration
-        through = share >= OVERLAP_MEANINGLESS
-        text = (
-            f"{who}: meets at {speed:.3g} m/s, {speed / v_0:.3g} times the v_0 that its contact is made for: the "
-            f"overlap would be {share:.3g} of the smaller radius"
-            f"{', so it goes through' if through else ''}: expected contact.v_0 of about that speed, or a stiffer "
-            "contact"
-        )
-        # later ones may not come about, once the first has changed the motion
-        yield bodies, share, Finding("first-impact", "refuse" if through and k == 0 else "warn", text)
-
-
-def _starts(model: Model) -> Iterator[_Found]:
-    for bodies, _, who, radius in _pairs(model):
-        share = initial_overlap(*bodies) / radius
-        if share > START_LARGE:
-            text = (
-                f"{who}: starts with an overlap of {share:.3g} of the smaller radius, whose spring will throw it out: "
-                f"expected at most {START_LARGE:g}, or a start without overlap"
-            )
-            yield bodies, share, Finding("start-overlap", "warn", text)
-
-
-def _resting(model: Model) -> Iterator[_Found]:
-    """Whether the contact carries the weight, of the sphere alone (certain) and of all spheres (the worst case)."""
-    scene = model.scene
-    masses = {p.name: float(sphere_mass(p.material, p.radius)) for p in scene.particles}
-    everything = sum(masses.values())
-    for (a, b), contact, who, radius in _pairs(model):
-        if not isinstance(b, Wall):
-            continue
-        axis = AXES.index(b.axis)
-        pull = -math.copysign(1.0, a.position[axis] - b.position) * scene.gravity[axis]
-        if pull <= 0.0:
-            continue
-        own, all_of_them = (
-            (mass * pull / contact.k) ** (1.0 / contact.n) / radius for mass in (masses[a.name], everything)
-        )
-        if own >= OVERLAP_MEANINGLESS:
-            text = (
-                f"{who}: at rest the sphere's own weight needs an overlap of {own:.3g} radii: the contact can't carry "
-                "it, it sinks through the wall: expected a stiffer contact"
-            )
-            yield (a, b), own, Finding("static-overlap", "refuse", text)
-        elif max(own, all_of_them) > OVERLAP_DOUBTFUL:
-            text = (
-                f"{who}: under the weight of all spheres the overlap at rest is {all_of_them:.3g} of the radius (of "
-                f"its own: {own:.3g}): expected at most {OVERLAP_DOUBTFUL:g}; take a stiffer contact"
-            )
-            yield (a, b), all_of_them, Finding("static-overlap", "warn", text)
-
-
-def _deepest(model: Model) -> Iterator[tuple[_Bodies, PairContact, str, float]]:
-    """As `_pairs`, of each pair of species the two that start deepest in each other."""
-    found: dict[SpeciesPair, tuple[float, tuple[_Bodies, PairContact, str, float]]] = {}
-    for item in _pairs(model):
-        (a, b), overlap = item[0], initial_overlap(*item[0])
-        which = model.species.pair_of((a.name, b.name))
-        if which not in found or overlap > found[which][0]:
-            found[which] = overlap, item
-    return (item for _, item in found.values())
-
-
-def no_contact(*models: Model) -> str:
-    """Return why no contact is seen in the frames of runs of these models, and what to do."""
+def no_contact(*plans: Plan[Scene]) -> str:
+    """Return why no contact is seen in the frames of runs of these plans, and what to do."""
     # in words alike for both models
-    sparse = [f for model in models for f in _recording(model)]
+    sparse = [finding for plan in plans for finding in contact_limits.recording(plan)]
     if sparse:
         return f"no contact was recorded: {sparse[0].message}"
     return "no contact happened: lengthen run.until_time"
-
-
-def _recording(model: Model) -> Iterator[Finding]:
-    """Whether frames are close enough for a contact to be seen in them; what is measured comes from frames alone."""
-    if model.record_every == 1 or not model.contacts:
-        return
-    names, contact = min(model.contacts.items(), key=lambda item: item[1].t_c)
-    fewest = contact.t_c / model.dt
-    frames = fewest / model.record_every
-    if frames >= FEWEST_FRAMES * (1.0 - 1e-9):
-        return  # a contact of few steps is told by its step
-    most = max(math.floor(fewest / FEWEST_FRAMES), 1)
-    found = f"has {frames:.2g} frames" if frames >= 1.0 else "can pass between two frames, and is not seen then"
-    yield Finding(
-        "not-recorded",
-        "warn",
-        f"{'–'.join(names)}: a contact lasts {fewest:.3g} steps and with a frame every {model.record_every} steps "
-        f"{found}: expected run.record_every = {most} at most",
-    )
-
-
-def _alike(contact: PairContact) -> tuple[str, float, str]:
-    """What the error of a number of steps depends on."""
-    return contact.law, contact.e_n, contact.end
-
-
-def _steps(model: Model) -> Iterator[Finding]:
-    bodies = len(model.scene.bodies)
-    most = float(min(max(bodies - 1, 1), MOST_CONTACTS))
-    shortest = min((c.t_c for c in model.contacts.values()), default=math.inf)
-    # a step that is not stable is worse than a coarse one: one is enough, the step is one for all pairs
-    worst: tuple[bool, float, Finding] | None = None
-    pairs: list[tuple[PairContact, str]] = []
-    stiff: list[tuple[float, float, float]] = []
-    coarsest: dict[object, float] = {}
-    for (a, b), c, who, _ in _deepest(model):
-        delta = max(c.delta_max or 0.0, initial_overlap(a, b))
-        if delta <= 0.0 and c.n != 1.0:
-            continue  # never stiff: nothing is known to press it
-        tangent = c.n * c.k * delta ** (c.n - 1.0) if c.n != 1.0 else c.k
-        stiff.append((tangent, c.m_eff, c.c * delta**c.p if c.p else c.c))
-        pairs.append((c, who))
-        coarsest[_alike(c)] = min(coarsest.get(_alike(c), math.inf), c.t_c)
-    if not pairs:
-        return
-    k, mass, c_n = np.transpose(stiff)
-    limits = [np.atleast_1d(verlet_limit(k, mass, c_n, z)).tolist() for z in (1.0, most)]
-    for (contact, who), one, many in zip(pairs, *limits, strict=True):
-        found: tuple[bool, float, Finding] | None = None
-        if model.dt >= one:
-            text = (
-                f"{who}: dt = {model.dt:.3g} s is {model.dt / one:.3g} of the largest stable step of one contact: "
-                f"energy will be created, the result is wrong: expected at most {0.1 * one:.2g} s"
-            )
-            found = True, model.dt / one, Finding("dt-unstable", "warn", text)
-        elif model.dt >= many:
-            text = (
-                f"{who}: dt = {model.dt:.3g} s is {model.dt / many:.3g} of the largest step that is stable for sure "
-                f"with {most:g} contacts at once: expected at most {0.5 * many:.2g} s where so many touch"
-            )
-            found = True, model.dt / one, Finding("dt-unstable", "warn", text)
-        elif contact.t_c > STEPS_MARGIN * coarsest[_alike(contact)]:
-            continue  # the same impact in more steps: its error is smaller
-        elif (coarse := step_error(contact, model.dt, shortest)) is not None:
-            found = False, coarse.error, Finding("dt-coarse", "warn", f"{who}: {coarse}")
-        if found is not None and (worst is None or found[:2] > worst[:2]):
-            worst = found
-    if worst is not None:
-        yield worst[2]

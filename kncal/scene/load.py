@@ -1,10 +1,19 @@
-"""What the bottom of a bed at rest carries."""
+"""A bed at rest: its height and voidage, what its bottom carries, and the gas that enters it."""
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
+
+from kncal.core.checks import Array
 from kncal.physics.material import sphere_mass
-from kncal.scene.bed_model import BedModel
 from kncal.scene.bed_scene import BedScene
+from kncal.scene.model import BedModel
+from kncal.scene.species import SpeciesPair
+
+#: Void fraction of a settled packing of equal spheres, where no positions are given to measure it.
+EPS_SETTLED = 0.40
 
 
 def layers(scene: BedScene) -> float:
@@ -22,7 +31,41 @@ def bottom_load(scene: BedScene) -> float:
     return float(sphere_mass(particles.material, particles.diameter / 2.0)) * scene.gravity * layers(scene)
 
 
-def bottom_overlaps(model: BedModel) -> dict[tuple[str, str], float]:
-    """Return the overlap [m] at which each contact of a bed carries `bottom_load`, by its names: (F/k)^(1/n)."""
+def bottom_overlaps(model: BedModel) -> dict[SpeciesPair, float]:
+    """Return the overlap [m] at which each contact of a bed carries `bottom_load`, by pair of species: (F/k)^(1/n)."""
     load = bottom_load(model.scene)
-    return {names: contact.overlap_under(load) for names, contact in model.contacts.items()}
+    return {pair: contact.overlap_under(load) for pair, contact in model.contacts.items()}
+
+
+def largest_superficial(scene: BedScene) -> float:
+    """Return the largest superficial gas velocity of the run, mean over the floor [m/s]; 0 without gas."""
+    gas = scene.gas
+    if gas is None:
+        return 0.0
+    if gas.jet is not None:
+        return gas.jet.velocity * (gas.jet.x_high - gas.jet.x_low) / scene.column.width
+    return max((velocity for _, velocity in gas.ramp), default=gas.U_0)
+
+
+def settled_height(scene: BedScene, eps_g: float = EPS_SETTLED) -> float:
+    """Return the height of the bed at rest [m] at the void fraction ``eps_g``: solid volume/((1 - eps_g) area)."""
+    particles, column = scene.particles, scene.column
+    solid = particles.count * math.pi / 6.0 * particles.diameter**3
+    return solid / ((1.0 - eps_g) * column.width * column.depth)
+
+
+def settled_voidage(scene: BedScene, positions: Array) -> float:
+    """Return the void fraction of a packing [-] between a tenth and three quarters of its height.
+
+    The height is that below which 95 % of the centres are; counted are the centres in between. ``positions``:
+    (n, 3) [m]. `EPS_SETTLED` for fewer than 50 particles, which have no voidage to speak of.
+    """
+    z = positions[:, 2]
+    if len(z) < 50:
+        return EPS_SETTLED
+    top = float(np.quantile(z, 0.95))
+    low, high = 0.1 * top, 0.75 * top
+    inside = np.count_nonzero((z >= low) & (z < high))
+    column, d = scene.column, scene.particles.diameter
+    solids = inside * math.pi / 6.0 * d**3 / ((high - low) * column.width * column.depth)
+    return float(np.clip(1.0 - solids, 0.2, 0.95))

@@ -1,11 +1,15 @@
-"""A scene with numbers: the contact of every pair, for one model ("linear" or "hertz"), and the time step."""
+"""A scene with numbers: the contact of every pair, for one model ("linear" or "hertz"), time step and schedule."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Generic, TypeVar
 
+from kncal.scene.bed_scene import BedScene
+from kncal.scene.needs import Needs
 from kncal.scene.scene import Scene
 from kncal.scene.species import SpeciesPair, SpeciesTable, species_of
 
@@ -61,44 +65,47 @@ class PairContact:
         return float((force / self.k) ** (1.0 / self.n))
 
 
-def distinct(contacts: Mapping[tuple[str, str], PairContact]) -> dict[tuple[str, str], tuple[PairContact, int]]:
-    """Return each contact once, with the number of pairs that have it, under the names of the first of them."""
-    first: dict[int, tuple[str, str]] = {}
-    number: dict[int, int] = {}
-    for names, contact in contacts.items():
-        first.setdefault(id(contact), names)
-        number[id(contact)] = number.get(id(contact), 0) + 1
-    return {names: (contacts[names], number[which]) for which, names in first.items()}
+S_co = TypeVar("S_co", bound="Scene | BedScene", covariant=True)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Model:
-    """One model of a scene, ready to be rendered or integrated.
+class Plan(Generic[S_co]):
+    """A scene with numbers, for one model: what rendering and running need, decided once by `kncal.scene.plan`.
 
     Attributes
     ----------
-    scene : Scene
+    scene : the scene
     kind : "linear" or "hertz"
-    contacts : (name, name) of two bodies, in the order of `Scene.body_pairs` -> PairContact; the same for all
-        pairs of bodies of one pair of species, but for the t_c of bodies that start pressed together
+    needs : which physics the scene requires
+    contacts : pair of species -> PairContact, of the pairs that bodies of the scene form, in the order of its bodies;
+        t_c is that of the two bodies that start deepest in each other. Empty where no contact is computed
     unmet : contacts of pairs of species that no two bodies of this scene form (a species of one body with itself): a
         deck that is used further needs them; pairs that cannot be calibrated are missing
-    dt : time step [s]
+    dt : time step of the particles [s]
     t_end : end time [s]
-    n_steps : number of steps, ceil(t_end/dt)
-    record_every : steps between frames in contact
-    flight_every : most steps between frames in flight; an engine takes fewer where a touch may come
+    n_steps : number of steps
+    record_every, flight_every : steps between frames in contact, and most steps between frames in flight (an engine
+        takes fewer where a touch may come); 0 where frames go with couplings
+    steps_per_coupling, couplings : steps in a coupling interval, and the number of these; 0: nothing is coupled
+    coupling : coupling interval [s], exactly ``steps_per_coupling * dt``
+    frames_every : couplings between recorded frames
+    gas_steps : gas steps per coupling interval
     """
 
-    scene: Scene
+    scene: S_co
     kind: str
-    contacts: Mapping[tuple[str, str], PairContact]
-    dt: float
-    t_end: float
-    n_steps: int
-    record_every: int
-    flight_every: int
+    needs: Needs
+    contacts: Mapping[SpeciesPair, PairContact]
     unmet: Mapping[SpeciesPair, PairContact] = field(default_factory=dict)
+    dt: float
+    t_end: float = math.nan
+    n_steps: int = 0
+    record_every: int = 0
+    flight_every: int = 0
+    steps_per_coupling: int = 0
+    couplings: int = 0
+    frames_every: int = 0
+    gas_steps: int = 1
 
     @cached_property
     def species(self) -> SpeciesTable:
@@ -106,13 +113,33 @@ class Model:
         return species_of(self.scene)
 
     @cached_property
-    def by_species(self) -> Mapping[SpeciesPair, PairContact]:
-        """The contacts by pair of species, of the pairs that bodies of the scene form."""
-        found: dict[SpeciesPair, PairContact] = {}
-        for names, contact in self.contacts.items():
-            found.setdefault(self.species.pair_of(names), contact)
-        return found
+    def named(self) -> Mapping[tuple[str, str], PairContact]:
+        """The contacts by the names of two bodies that stand for their species."""
+        return {self.species.names(pair): contact for pair, contact in self.contacts.items()}
 
-    def without_friction(self) -> Model:
-        """Return the same model with smooth contacts: its normal motion is that of a sphere on a wall with friction."""
-        return replace(self, contacts={names: replace(c, friction=0.0) for names, c in self.contacts.items()})
+    @property
+    def coupling(self) -> float:
+        """Coupling interval [s]."""
+        return self.steps_per_coupling * self.dt
+
+    @property
+    def gas_step(self) -> float:
+        """Time step of the gas [s]."""
+        return self.coupling / self.gas_steps
+
+    @property
+    def shortest(self) -> float:
+        """Duration of the shortest contact [s]; infinite without contacts."""
+        return min((contact.t_c for contact in self.contacts.values()), default=math.inf)
+
+    def between(self, one: str, other: str) -> PairContact:
+        """Return the contact of two bodies by their names; `KeyError` if they have none."""
+        return self.contacts[self.species.pair_of((one, other))]
+
+    def without_friction(self) -> Plan[S_co]:
+        """Return the same plan with smooth contacts: its normal motion is that of a sphere on a wall with friction."""
+        return replace(self, contacts={pair: replace(c, friction=0.0) for pair, c in self.contacts.items()})
+
+
+Model = Plan[Scene]
+BedModel = Plan[BedScene]

@@ -7,19 +7,26 @@ from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from typing import Any, overload
 
 import numpy as np
 
 from kncal.core.errors import CaseFileError, ValidityError
 from kncal.physics.material import Pair, pair, wall_pair
 from kncal.scene.ballistics import first_touch, initial_overlap
-from kncal.scene.limits import require_possible_scene
-from kncal.scene.model import KINDS, Model, PairContact
+from kncal.scene.bed_scene import BedScene
+from kncal.scene.contact_limits import require_possible_scene
+from kncal.scene.load import bottom_load
+from kncal.scene.model import KINDS, PairContact, Plan
 from kncal.scene.needs import Needs, decide
 from kncal.scene.pair_contact import PairNumbers, Rest, numbers_of, pair_contact, smooth
 from kncal.scene.scene import Particle, Scene, Wall
 from kncal.scene.species import SpeciesPair, species_of
 
+#: Records that take more than this are refused before the run [bytes]: a report reads all of them.
+MOST_SERIES_BYTES = 8 * 1024**3
+#: What is recorded of a coupling [bytes], two histograms of impact speeds and one of overlaps the most of it.
+COUPLING_BYTES = 2700
 #: More steps than this are refused before the run rather than after a day.
 MOST_STEPS = 500_000_000
 
@@ -32,8 +39,17 @@ def pair_of(a: Particle, b: Particle | Wall) -> Pair:
     return pair(a.material, a.radius, b.material, b.radius)
 
 
-def plan(scene: Scene, kinds: Iterable[str] = KINDS) -> dict[str, Model]:
-    """Return the models of ``scene`` by kind, all with the same end time.
+@overload
+def plan(scene: Scene, kinds: Iterable[str] = ...) -> dict[str, Plan[Scene]]: ...
+@overload
+def plan(scene: BedScene, kinds: Iterable[str] = ...) -> dict[str, Plan[BedScene]]: ...
+def plan(scene: Scene | BedScene, kinds: Iterable[str] = KINDS) -> Any:
+    """Return the plans of ``scene`` by kind of model, all with the same end time (of a bed: but for whole couplings).
+
+    The step is the shortest contact duration over ``steps_per_contact`` (of each model by itself). Where gas and
+    particles are coupled it is no longer than the coupling interval; the interval is the largest whole number of
+    steps in ``run.coupling``, and is cut into as few gas steps as ``run.gas_step`` allows. Where nothing moves but the
+    gas there are no contacts, and one step per coupling.
 
     Raises
     ------
@@ -43,8 +59,10 @@ def plan(scene: Scene, kinds: Iterable[str] = KINDS) -> dict[str, Model]:
     """
     kinds = tuple(kinds)
     needs = decide(scene)
+    if isinstance(scene, BedScene):
+        return {kind: _coupled(scene, kind, needs) for kind in kinds}
     first_speed = speed_once()
-    models = {kind: _model(scene, kind, needs, first_speed) for kind in KINDS}
+    models = {kind: _few(scene, kind, needs, first_speed) for kind in KINDS}
     for kind in kinds:
         require_possible_scene(models[kind])
     t_end = scene.run.until_time
@@ -58,7 +76,7 @@ class _Known:
     """Models of a scene, told from others by its text: every number of it stands there with all its digits."""
 
     text: str
-    models: Mapping[str, Model] = field(compare=False)
+    models: Mapping[str, Plan[Scene]] = field(compare=False)
 
 
 @lru_cache(maxsize=256)  # a run is planned when it is checked, when it starts and when it is read
@@ -71,7 +89,10 @@ def _bounced(known: _Known) -> float:
 
 
 def pair_choice(
-    scene: Scene, a: Particle, b: Particle | Wall, first_speed: Callable[[Scene], float | None] | None = None
+    scene: Scene | BedScene,
+    a: Particle,
+    b: Particle | Wall,
+    first_speed: Callable[[Scene | BedScene], float | None] | None = None,
 ) -> PairNumbers:
     """Return the numbers of one pair: the scene's choice, or the first exception that names both bodies.
 
@@ -87,11 +108,11 @@ def pair_choice(
     return numbers
 
 
-def speed_once() -> Callable[[Scene], float | None]:
+def speed_once() -> Callable[[Scene | BedScene], float | None]:
     """Return `first_impact_speed` for one scene, found at the first call: it looks at every pair of bodies."""
     speeds: list[float | None] = []
 
-    def first_speed(scene: Scene) -> float | None:
+    def first_speed(scene: Scene | BedScene) -> float | None:
         if not speeds:
             speeds.append(first_impact_speed(scene))
         return speeds[0]
@@ -99,7 +120,7 @@ def speed_once() -> Callable[[Scene], float | None]:
     return first_speed
 
 
-def species_choices(scene: Scene) -> dict[SpeciesPair, PairNumbers]:
+def species_choices(scene: Scene | BedScene) -> dict[SpeciesPair, PairNumbers]:
     """Return the numbers (`pair_choice`) of every pair of species that bodies of the scene form."""
     species, first_speed = species_of(scene), speed_once()
     return {
@@ -109,7 +130,12 @@ def species_choices(scene: Scene) -> dict[SpeciesPair, PairNumbers]:
     }
 
 
-def _why_no_speed(scene: Scene) -> str:
+def _why_no_speed(scene: Scene | BedScene) -> str:
+    if isinstance(scene, BedScene):
+        return (
+            "a bed has no first impact to calibrate at: expected contact.v_0 [m/s], typical of this bed, or "
+            "contact.k_n [N/m]"
+        )
     pressed = [(a, b, d) for a, b in scene.body_pairs() if (d := initial_overlap(a, b)) > 0.0]
     if pressed:
         a, b, depth = max(pressed, key=lambda item: item[2] / item[0].radius)
@@ -124,45 +150,53 @@ def _why_no_speed(scene: Scene) -> str:
     )
 
 
-def first_impact_speed(scene: Scene) -> float | None:
-    """Return the normal closing speed of the scene's first touch [m/s], from ballistics; None if there is none."""
+def first_impact_speed(scene: Scene | BedScene) -> float | None:
+    """Return the normal closing speed of the scene's first touch [m/s], from ballistics; None if there is none.
+
+    Nor is there one in a bed, whose particles are placed later.
+    """
+    if isinstance(scene, BedScene):
+        return None
     touches = [touch for a, b in scene.body_pairs() if (touch := first_touch(scene, a, b)) is not None]
     return min(touches)[1] if touches else None
 
 
-def _model(scene: Scene, kind: str, needs: Needs, first_speed: Callable[[Scene], float | None]) -> Model:
+def _contacts(
+    scene: Scene | BedScene,
+    kind: str,
+    needs: Needs,
+    first_speed: Callable[[Scene | BedScene], float | None],
+    overlaps: Mapping[SpeciesPair, float],
+) -> tuple[dict[SpeciesPair, PairContact], dict[SpeciesPair, PairContact]]:
+    """The contacts of the pairs of species that meet, with their overlap at t = 0 [m], and of those that do not."""
     species = species_of(scene)
     uses = {name: needs.uses(name) for name in ("tangential", "rolling")}
 
-    def made(a: Particle, b: Particle | Wall, overlap: float) -> PairContact:
-        return smooth(contact_of(scene, a, b, kind, first_speed, overlap), **uses)
+    def made(which: SpeciesPair, overlap: float) -> PairContact:
+        return smooth(contact_of(scene, *species.bodies(which), kind, first_speed, overlap), **uses)
 
-    known: dict[tuple[SpeciesPair, float], PairContact] = {}
-    contacts = {}
-    for a, b in scene.body_pairs():
-        names = (a.name, b.name)
-        key = (species.pair_of(names), max(initial_overlap(a, b), 0.0))  # of a gap nothing depends
-        contacts[names] = known[key] if key in known else known.setdefault(key, made(a, b, key[1]))
+    met = {which: made(which, overlap) for which, overlap in overlaps.items()}
     unmet = {}
-    for which in set(species.pairs()) - {which for which, _ in known}:
-        with suppress(CaseFileError, ValidityError):  # nobody asked for it; a deck says what it lacks
-            unmet[which] = made(*species.bodies(which), 0.0)
-    shortest = min(c.t_c for c in contacts.values())
-    dt = scene.run.dt if scene.run.dt is not None else shortest / scene.run.steps_per_contact
-    return Model(
-        scene=scene,
-        kind=kind,
-        contacts=contacts,
-        unmet=unmet,
-        dt=dt,
-        t_end=math.nan,
-        n_steps=0,
-        record_every=scene.run.record_every,
-        flight_every=0,
-    )
+    for which in species.pairs():
+        if which not in met:
+            with suppress(CaseFileError, ValidityError):  # nobody asked for it; a deck says what it lacks
+                unmet[which] = made(which, 0.0)
+    return met, unmet
 
 
-def _timed(model: Model, t_end: float) -> Model:
+def _few(scene: Scene, kind: str, needs: Needs, first_speed: Callable[[Scene | BedScene], float | None]) -> Plan[Scene]:
+    species = species_of(scene)
+    overlaps: dict[SpeciesPair, float] = {}
+    for a, b in scene.body_pairs():  # of a gap nothing depends
+        which = species.pair_of((a.name, b.name))
+        overlaps[which] = max(overlaps.get(which, 0.0), initial_overlap(a, b))
+    contacts, unmet = _contacts(scene, kind, needs, first_speed, overlaps)
+    given = Plan(scene=scene, kind=kind, needs=needs, contacts=contacts, unmet=unmet, dt=math.nan)
+    dt = scene.run.dt if scene.run.dt is not None else given.shortest / scene.run.steps_per_contact
+    return replace(given, dt=dt, record_every=scene.run.record_every)
+
+
+def _timed(model: Plan[Scene], t_end: float) -> Plan[Scene]:
     number = t_end / model.dt * (1.0 - 1e-12)
     n_steps = math.ceil(min(number, MOST_STEPS + 1.0))  # it may be infinite
     if n_steps > MOST_STEPS:
@@ -170,24 +204,78 @@ def _timed(model: Model, t_end: float) -> Model:
             f"{model.scene.name}: the {model.kind} model needs {number:.3g} steps of {model.dt:.3g} s: expected at "
             f"most {MOST_STEPS:.3g}; shorten run.until_time, or take a softer material or a larger run.dt"
         )
-    shortest = min(c.t_c for c in model.contacts.values())
-    flight = max(model.record_every, round(min(shortest / model.dt, MOST_STEPS)))
+    flight = max(model.record_every, round(min(model.shortest / model.dt, MOST_STEPS)))
     return replace(model, t_end=t_end, n_steps=n_steps, flight_every=flight)
 
 
 def contact_of(
-    scene: Scene,
+    scene: Scene | BedScene,
     a: Particle,
     b: Particle | Wall,
     kind: str,
-    first_speed: Callable[[Scene], float | None],
+    first_speed: Callable[[Scene | BedScene], float | None],
     overlap: float,
 ) -> PairContact:
     """Return the contact of two bodies, which stand for their species; ``overlap`` [m]: at t = 0.
 
-    Friction is the case's, whether or not the scene needs it. ``first_speed``: as of `pair_choice`.
+    Friction is the case's, whether or not the scene needs it. ``first_speed``: as of `pair_choice`. With k_n prescribed
+    and no impact speed, Hertz contacts are judged under a sphere's own weight, in a bed at its bottom.
     """
     both, numbers = pair_of(a, b), pair_choice(scene, a, b, first_speed)
-    rest = Rest(overlap, float(both.m_eff) * float(np.linalg.norm(scene.gravity)))
+    own = float(both.m_eff) * float(np.linalg.norm(scene.gravity))
+    rest = Rest(overlap, bottom_load(scene) if isinstance(scene, BedScene) else own)
     names = f"{a.name!r} and {b.name!r}"
     return pair_contact(scene.contact, both, numbers, kind, rest, scene=scene.name, names=names)
+
+
+def _coupled(scene: BedScene, kind: str, needs: Needs) -> Plan[BedScene]:
+    contacts: dict[SpeciesPair, PairContact] = {}
+    if needs.uses("liggghts"):
+        overlaps = dict.fromkeys(species_of(scene).pairs(), 0.0)
+        contacts, _ = _contacts(scene, kind, needs, first_impact_speed, overlaps)
+    wish = scene.run.coupling
+    shortest = min((c.t_c for c in contacts.values()), default=math.inf)
+    dt = min(shortest / scene.run.steps_per_contact, wish)
+    # 1e-9: a wish that is a whole number of steps but for rounding is that number
+    per_coupling = max(math.floor(wish / dt * (1.0 + 1e-9)), 1)
+    coupling = per_coupling * dt
+    number = scene.run.end_time / coupling * (1.0 - 1e-9)  # may be infinite
+    if number * per_coupling > MOST_STEPS:
+        raise CaseFileError(
+            f"{scene.name}: the {kind} model needs {number * per_coupling:.3g} steps of {dt:.3g} s: expected at most "
+            f"{MOST_STEPS:.3g}; shorten run.end_time, or take a softer material (beds are customarily run with a "
+            "Young's modulus far below the real one) or a smaller run.steps_per_contact"
+        )
+    couplings = math.ceil(number)
+    gas_steps = 1.0 if (step := scene.run.gas_step) is None else coupling / step * (1.0 - 1e-9)
+    if number * gas_steps > MOST_STEPS:
+        raise CaseFileError(
+            f"{scene.name}: the gas needs {number * gas_steps:.3g} steps of {scene.run.gas_step:.3g} s: expected at "
+            f"most {MOST_STEPS:.3g}; take a longer run.gas_step, or shorten run.end_time"
+        )
+    frames_every = max(round(min(scene.run.frames_every / coupling, couplings + 1.0)), 1)
+    _check_series(scene, couplings, couplings // frames_every)
+    return Plan(
+        scene=scene,
+        kind=kind,
+        needs=needs,
+        contacts=contacts,
+        dt=dt,
+        t_end=couplings * coupling,
+        n_steps=couplings * per_coupling,
+        steps_per_coupling=per_coupling,
+        couplings=couplings,
+        frames_every=frames_every,
+        gas_steps=max(math.ceil(gas_steps), 1),
+    )
+
+
+def _check_series(scene: BedScene, couplings: int, frames: int) -> None:
+    """Refuse records that would fill disk and memory: single precision, six numbers a particle, five a gas cell."""
+    size = 24 * scene.particles.count + (20 * math.prod(scene.column.cells) if scene.gas is not None else 0)
+    if frames * size + couplings * COUPLING_BYTES > MOST_SERIES_BYTES:
+        raise CaseFileError(
+            f"{scene.name}: {frames} frames of {size / 1e6:.3g} MB and {couplings} couplings of "
+            f"{COUPLING_BYTES / 1e3:.3g} kB are to be recorded: expected at most {MOST_SERIES_BYTES / 1e9:.3g} GB in "
+            "all; take a longer run.frames_every, a longer run.coupling or a shorter run.end_time"
+        )

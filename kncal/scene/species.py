@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from kncal.scene.bed_scene import BedScene
 from kncal.scene.scene import Particle, Scene, Wall, names_of
 
 Body = Particle | Wall
@@ -26,10 +27,12 @@ class SpeciesTable:
     ----------
     members : bodies of each species
     index : body name -> number of its species, from 0
+    stand_ins : whether each body stands for a whole group, of which any two may meet
     """
 
     members: tuple[tuple[Body, ...], ...]
     index: Mapping[str, int]
+    stand_ins: bool = False
 
     def pair_of(self, names: tuple[str, str]) -> SpeciesPair:
         """Return the pair of species of two bodies."""
@@ -49,20 +52,26 @@ class SpeciesTable:
         assert isinstance(one, Particle)  # noqa: S101  # `pairs` and `pair_of` put particles first
         return one, other
 
+    def names(self, pair: SpeciesPair) -> tuple[str, str]:
+        """Return the names of the two bodies that stand for a pair of species."""
+        one, other = self.bodies(pair)
+        return one.name, other.name
+
     def meetings(self, pair: SpeciesPair) -> int:
-        """Return how many pairs of bodies are of a pair of species."""
+        """Return how many pairs of bodies are of a pair of species (of groups: 1)."""
+        if self.stand_ins:
+            return 1
         i, j = pair
         n = len(self.members[i])
         return n * (n - 1) // 2 if i == j else n * len(self.members[j])
 
     def label(self, pair: SpeciesPair, names: tuple[str, str] | None = None) -> str:
         """Return a pair of species in words: two of its bodies (``names``, or the first), and how many are alike."""
-        one, other = self.bodies(pair)
         others = self.meetings(pair) - 1
-        return "–".join(names or (one.name, other.name)) + (f" (and {others} alike)" if others > 0 else "")
+        return "–".join(names or self.names(pair)) + (f" (and {others} alike)" if others > 0 else "")
 
 
-def species_of(scene: Scene) -> SpeciesTable:
+def species_of(scene: Scene | BedScene) -> SpeciesTable:
     """Return the species of a scene."""
     members: dict[object, list[Body]] = {}
     for body in scene.bodies:
@@ -73,6 +82,7 @@ def species_of(scene: Scene) -> SpeciesTable:
     return SpeciesTable(
         members=tuple(tuple(bodies) for bodies in members.values()),
         index={body.name: number for number, bodies in enumerate(members.values()) for body in bodies},
+        stand_ins=isinstance(scene, BedScene),
     )
 
 

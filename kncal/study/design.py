@@ -28,12 +28,11 @@ from kncal.core.files import read_json, write_json, write_text
 from kncal.core.mpi import check_ranks
 from kncal.core.scratch import scratch
 from kncal.engines.base import Engine
-from kncal.scene.bed_model import BedModel
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import CASE, dump_case, load_case
 from kncal.scene.case_text import read_case
 from kncal.scene.finding import Finding
-from kncal.scene.model import KINDS, Model
+from kncal.scene.model import KINDS, BedModel, Model
 from kncal.scene.overrides import parse_override
 from kncal.scene.scene import Scene
 from kncal.study.points import Point
@@ -280,12 +279,11 @@ def _checker(settings: Settings, bed: bool) -> Iterator[Callable[[Scene | BedSce
 
 def _warnings(models: Sequence[Model] | Sequence[BedModel]) -> tuple[Finding, ...]:
     """Return the limits that these models of one run come near to, each kind once."""
-    from kncal.scene.bed_limits import check_bed
-    from kncal.scene.limits import check_scene
+    from kncal.scene.limits import check
 
     found: dict[str, Finding] = {}
     for model in models:
-        for finding in check_bed(model) if isinstance(model, BedModel) else check_scene(model):
+        for finding in check(model):
             if finding.level == "warn":
                 found.setdefault(finding.code, finding)
     return tuple(found.values())

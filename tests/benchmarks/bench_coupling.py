@@ -44,9 +44,9 @@ from kncal.engines.coupled import GAS, Coupled
 from kncal.engines.coupling import GasTransport
 from kncal.engines.dpmfoam.live import LiveGas
 from kncal.engines.loop import Progress, gas_setup
-from kncal.scene.bed_model import BedModel
-from kncal.scene.bed_planning import plan_bed
+from kncal.scene.model import BedModel
 from kncal.scene.placement import lattice
+from kncal.scene.plan import plan
 
 ROUNDS = 3
 
@@ -228,7 +228,7 @@ def grown(nx: int, ny: int) -> None:
         column=replace(column, width=a * column.width, depth=b * column.depth, cells=(nx, ny, column.cells[2])),
         particles=replace(small.particles, count=round(a * b * small.particles.count), packing="lattice"),
     )
-    model = replace(plan_bed(scene, ("linear",))["linear"], couplings=12)
+    model = replace(plan(scene, ("linear",))["linear"], couplings=12)
     watch = Watch()
     with tempfile.TemporaryDirectory() as scratch:
         result = Coupled("live").run(model, Path(scratch) / "run", lattice(scene), progress=watch)

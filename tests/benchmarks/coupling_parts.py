@@ -45,8 +45,8 @@ from kncal.engines.liggghts.library import middle, sides
 from kncal.engines.settle import packing
 from kncal.record.openfoam import write_parcel_constants, write_parcel_motion
 from kncal.scene.bed_case_file import load_bed
-from kncal.scene.bed_model import BedModel
-from kncal.scene.bed_planning import plan_bed
+from kncal.scene.model import BedModel
+from kncal.scene.plan import plan
 
 #: Couplings in a block: short against the drift of a shared machine, long against the clock.
 BLOCK = 5
@@ -68,12 +68,12 @@ class DemPair:
 def linear_model(case: str, seconds: float) -> BedModel:
     """The linear model of a shipped bed, run for so long."""
     scene = load_bed(case)
-    return plan_bed(replace(scene, run=replace(scene.run, end_time=seconds)), ("linear",))["linear"]
+    return plan(replace(scene, run=replace(scene.run, end_time=seconds)), ("linear",))["linear"]
 
 
 def shipped(case: str) -> BedModel:
     """The linear model of a shipped bed as it is."""
-    return plan_bed(load_bed(case), ("linear",))["linear"]
+    return plan(load_bed(case), ("linear",))["linear"]
 
 
 def settled(model: BedModel) -> Array:

@@ -52,7 +52,7 @@ def test_like_bodies_are_one_type_and_those_of_exceptions_are_their_own():
     # every pair of the scene has what a run of it has
     models = plan(SCENE, ["linear"])
     index = {"a": 0, "c": 0, "b": 1, "odd": 2, "floor": 3, "lid": 4}
-    for (one, other), c in models["linear"].contacts.items():
+    for (one, other), c in models["linear"].named.items():
         i, j = index[one], index[other]
         assert table["kn"][i, j] == pytest.approx(c.k, rel=1e-14)
         assert table["gamman"][i, j] == pytest.approx(c.c / c.m_eff, rel=1e-14)
@@ -90,14 +90,14 @@ def test_rolling_friction_comes_with_its_model():
 
 def test_a_pair_without_numbers_is_named_and_a_contact_of_another_kind_refused():
     types = [AtomType(name="ball", material=GLASS), AtomType(name="w", material=None, is_wall=True)]
-    contacts = plan(SCENE, ["linear"])["linear"].contacts
-    block = liggghts_block(types, {("ball", "w"): contacts["a", "floor"]})
+    given = plan(SCENE, ["linear"])["linear"]
+    block = liggghts_block(types, {("ball", "w"): given.between("a", "floor")})
     assert "ball with ball" in block
     assert "ball with w" not in block
     with pytest.raises(RenderError, match="no contact"):
         liggghts_block(types, {})
     with pytest.raises(RenderError, match="hertz"):
-        liggghts_block(types, dict.fromkeys([("ball", "ball"), ("w", "ball")], contacts["a", "b"]), "hertz")
+        liggghts_block(types, dict.fromkeys([("ball", "ball"), ("w", "ball")], given.between("a", "b")), "hertz")
     # alone with a wall that it is at rest on, k_n for that pair only
     resting = replace(
         SCENE,
@@ -112,6 +112,6 @@ def test_a_pair_without_numbers_is_named_and_a_contact_of_another_kind_refused()
 @pytest.mark.parametrize("key", ["k", "c", "k_t", "friction"])
 @pytest.mark.parametrize("value", [math.nan, math.inf, -1.0])
 def test_bad_numbers_never_reach_a_block(key, value):
-    contact = replace(plan(SCENE, ["linear"])["linear"].contacts["a", "b"], **{key: value})
+    contact = replace(plan(SCENE, ["linear"])["linear"].between("a", "b"), **{key: value})
     with pytest.raises(RenderError, match=f"{key} = "):
         liggghts_block([AtomType(name="a", material=GLASS)], {("a", "a"): contact})

@@ -22,8 +22,7 @@ from kncal.core.errors import InputError, RenderError, RunError
 from kncal.engines.liggghts import library as dem_module
 from kncal.engines.liggghts.deck import bed_deck, deck_text
 from kncal.engines.liggghts.library import LOG, LiggghtsDem
-from kncal.scene.bed_model import BedModel
-from kncal.scene.model import KINDS
+from kncal.scene.model import KINDS, BedModel
 from kncal.scene.placement import lattice
 from kncal.scene.scene import ContactChoice
 
@@ -181,7 +180,7 @@ def test_friction_at_a_side_wall(tmp_path: Path) -> None:
     """A particle pressed against a side wall slides down: the wall carries friction times the pressing force."""
     given = model(scene(1, contact=ContactChoice(e_n=0.3, friction=0.2)), dt=5e-6)
     press = 0.5 * mass(given.scene) * G
-    c = given.contacts["particles", "walls"]
+    c = given.between("particles", "walls")
     start = np.array([[0.015 - 0.5 * D + press / c.k, 0.003, 0.05]])
     with LiggghtsDem(given, tmp_path, start) as dem:
         dem.run(2000, np.array([[press, 0.0, 0.0]]))

@@ -20,11 +20,10 @@ from kncal.physics.timestep import predict_error, verlet_limit
 from kncal.record.frames import Trajectory
 from kncal.runs.solving import get_engine, plan_checked
 from kncal.runs.workflow import load_run, run_case
-from kncal.scene.bed_limits import check_bed
-from kncal.scene.bed_planning import plan_bed
 from kncal.scene.case_file import load_case, parse_case
+from kncal.scene.contact_limits import overlap_at
 from kncal.scene.finding import Finding
-from kncal.scene.limits import check_scene, overlap_at, warnings_of
+from kncal.scene.limits import check, warnings_of
 from kncal.scene.model import Model
 from kncal.scene.plan import plan
 from kncal.scene.scene import ContactChoice, Particle, RunControl, Scene, Wall
@@ -41,7 +40,7 @@ def on_wall(
     """A sphere that hits a rigid wall at ``v``, from a third of a step of the usual number away."""
     given = ContactChoice(**({"e_n": 0.9} | contact))  # type: ignore[arg-type]
     start = replace(_bare(radius, v, material, given, 1e-6 * radius), run=RunControl(until_time=1.0, dt=1.0))
-    t_c = min(m.contacts["ball", "floor"].t_c for m in plan(start).values())
+    t_c = min(m.between("ball", "floor").t_c for m in plan(start).values())
     scene = _bare(radius, v, material, given, 0.37 * v * t_c / 50.0)
     return replace(scene, run=RunControl(until_bounces=1, steps_per_contact=steps))
 
@@ -72,7 +71,7 @@ def codes(scene: Scene) -> set[str]:
     """Codes of everything that is said about a scene before it runs."""
     found: set[str] = set()
     for model in plan(scene).values():
-        found |= {finding.code for finding in check_scene(model)}
+        found |= {finding.code for finding in check(model)}
         found |= {code for contact in model.contacts.values() for code in contact.warnings}
     assert warnings_of(plan(scene)) or not found
     return found
@@ -149,7 +148,7 @@ def liggghts(model: Model, folder: Path) -> tuple[Model, Trajectory]:
 @pytest.mark.solver
 def test_a_step_beyond_stability_is_said_and_creates_energy(tmp_path: Path) -> None:
     scene = on_wall()
-    contact = plan(scene)["linear"].contacts["ball", "floor"]
+    contact = plan(scene)["linear"].between("ball", "floor")
     limit = float(verlet_limit(contact.k, contact.m_eff, contact.c))
     fast, slow = (replace(scene, run=replace(scene.run, dt=share * limit)) for share in (1.5, 0.05))
     assert "dt-unstable" in codes(fast)
@@ -160,9 +159,9 @@ def test_a_step_beyond_stability_is_said_and_creates_energy(tmp_path: Path) -> N
 def test_several_contacts_at_once_have_a_smaller_limit() -> None:
     probe = pressed(ingredients(load_case("wall_impact")), "linear", 0.6, 12)
     many = min(float(verlet_limit(c.k, c.m_eff, c.c, 12.0)) for c in probe.model.contacts.values())
-    said = {f.code for f in check_scene(at_step(probe.model, 1.01 * many, 10))}
+    said = {f.code for f in check(at_step(probe.model, 1.01 * many, 10))}
     assert "dt-unstable" in said
-    assert "dt-unstable" not in {f.code for f in check_scene(at_step(probe.model, 0.9 * many, 10))}
+    assert "dt-unstable" not in {f.code for f in check(at_step(probe.model, 0.9 * many, 10))}
 
 
 def test_few_steps_with_strong_damping_are_said() -> None:
@@ -190,7 +189,7 @@ def test_a_spring_under_its_spheres_weight(radii: float, level: str | None) -> N
         with pytest.raises(CaseFileError, match="can't carry"):
             plan(heavy)
     else:
-        assert ("static-overlap" in {f.code for f in check_scene(plan(heavy)["linear"])}) == (level == "warn")
+        assert ("static-overlap" in {f.code for f in check(plan(heavy)["linear"])}) == (level == "warn")
 
 
 # --- refused before the run -------------------------------------------------------------------------------------------
@@ -206,7 +205,7 @@ def test_a_scene_faster_than_its_v_0_is_refused_if_it_goes_through(kind: str) ->
     """The contact of 1 mm/s, met at 100 m/s: the overlap as v, or v^(4/5), reaches the radius."""
     slow = on_wall(v=0.001, material=SOFT, v_0=0.001)
     (ball,) = slow.particles
-    contact = plan(slow)[kind].contacts["ball", "floor"]
+    contact = plan(slow)[kind].between("ball", "floor")
     assert (overlap_at(contact, 100.0) or 0.0) > 1e-3
     fast = replace(slow, particles=(replace(ball, velocity=(0.0, 0.0, -100.0)),))
     with pytest.raises(CaseFileError, match="goes through"):
@@ -261,9 +260,9 @@ def test_what_liggghts_takes_in_silence_is_no_case(value: dict[str, str], said: 
 @pytest.mark.parametrize("k", [0.0, -1.0, math.inf, math.nan])
 def test_no_deck_with_a_stiffness_that_is_none(k: float, tmp_path: Path) -> None:
     model = plan(on_wall())["linear"]
-    contact = model.contacts["ball", "floor"]
+    contact = model.between("ball", "floor")
     with pytest.raises(RenderError, match="k ="):
-        Liggghts().render(replace(model, contacts={("ball", "floor"): replace(contact, k=k)}), tmp_path)
+        Liggghts().render(replace(model, contacts={(0, 1): replace(contact, k=k)}), tmp_path)
     assert not list(tmp_path.iterdir())
 
 
@@ -292,7 +291,7 @@ def bed(share: float) -> tuple[Finding, ...]:
     if share >= 0.5:
         with pytest.raises(CaseFileError, match="cannot carry"):
             plan_checked(scene, LINEAR)
-    return check_bed(plan_bed(scene, LINEAR)["linear"])
+    return check(plan(scene, LINEAR)["linear"])
 
 
 @pytest.mark.parametrize(("share", "level"), [(0.01, None), (0.1, "warn"), (0.6, "refuse")])
@@ -309,10 +308,10 @@ def test_a_bed_that_its_springs_do_not_carry(share: float, level: str | None) ->
 def test_a_sphere_that_goes_through_the_wall_fails(how: str, tmp_path: Path) -> None:
     """LIGGGHTS ends with code 0 and all its particles; planning is passed by."""
     model = plan(on_wall(v=1.0))["linear"]
-    contact = model.contacts["ball", "floor"]
+    contact = model.between("ball", "floor")
     if how == "too soft":
         weak = replace(contact, k=1e-3, c=0.0)
-        model = at_step(replace(model, contacts={("ball", "floor"): weak}), 1e-5, 400)
+        model = at_step(replace(model, contacts={(0, 1): weak}), 1e-5, 400)
     else:
         model = at_step(model, 3e-3, 5)
     folder = tmp_path / "run"
@@ -328,8 +327,8 @@ def test_a_sphere_that_goes_through_the_wall_fails(how: str, tmp_path: Path) -> 
 @pytest.mark.solver
 def test_spheres_that_go_through_each_other_fail(tmp_path: Path) -> None:
     model = plan(pair(3.0, v=1.0))["linear"]
-    weak = replace(model.contacts["small", "large"], k=1e-3, c=0.0)
-    model = at_step(replace(model, contacts={("small", "large"): weak}), 2e-5, 800)
+    weak = replace(model.between("small", "large"), k=1e-3, c=0.0)
+    model = at_step(replace(model, contacts={(0, 1): weak}), 2e-5, 800)
     engine = Liggghts()
     engine.render(model, tmp_path)
     result = engine.run(model, tmp_path, timeout=60.0)

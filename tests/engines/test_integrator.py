@@ -58,7 +58,7 @@ def test_elastic_linear_impact_keeps_the_discrete_energy(n: float, gap: float) -
     # Velocity Verlet conserves v² + omega² delta² (1 - (omega dt)²/4); with the half kick at the first and at the last
     # frame in contact this is v² - omega² delta (v dt - delta), v the free speed and delta the overlap of that frame.
     given = model(on_wall(gap=gap), "linear", t_end=1e-3, steps_per_contact=n, flight_every=1)
-    contact = given.contacts["bead", "floor"]
+    contact = given.between("bead", "floor")
     run_ = integrate(given)
     delta = R - run_.x[:, 0, 2]
     inside = np.flatnonzero(delta > 0.0)
@@ -223,7 +223,7 @@ def test_a_bead_knocked_on_by_a_heavy_ball_is_seen_at_the_wall() -> None:
     assert [c.pair for c in contacts[:2]] == [("heavy", "light"), ("light", "wall")]
     assert contacts[1].v_in > 1.9
     assert contacts[1].delta_max == pytest.approx(
-        contacts[1].v_in * math.sqrt(given.contacts["light", "wall"].m_eff / given.contacts["light", "wall"].k),
+        contacts[1].v_in * math.sqrt(given.between("light", "wall").m_eff / given.between("light", "wall").k),
         rel=1e-2,
     )
 
@@ -252,7 +252,7 @@ def test_friction_stays_within_the_coulomb_limit_and_reaches_it() -> None:
 def test_a_stuck_contact_swings_at_its_own_frequency(kind: str) -> None:
     # rolling is 7/2 times as light as sliding: omega_t² = (7/2) k_t/m for the velocity of the contact point
     m = mass(on_wall().particles[0])
-    contact = model(on_wall(), kind, t_end=1.0).contacts["bead", "floor"]
+    contact = model(on_wall(), kind, t_end=1.0).between("bead", "floor")
     delta = (m * 9.81 / contact.k) ** (1.0 / contact.n)
     k_t = contact.k_t * (math.sqrt(delta) if kind == "hertz" else 1.0)
     omega = math.sqrt(3.5 * k_t / m)
@@ -265,14 +265,14 @@ def test_a_stuck_contact_swings_at_its_own_frequency(kind: str) -> None:
 
 def test_what_it_cannot_do_is_refused() -> None:
     given = model(on_wall(), "linear", t_end=1e-4)
-    contact = dataclasses.replace(given.contacts["bead", "floor"], rolling_friction=0.1)
+    contact = dataclasses.replace(given.between("bead", "floor"), rolling_friction=0.1)
     with pytest.raises(RenderError, match=r"bead–floor: rolling_friction = 0\.1.*liggghts"):
-        integrate(dataclasses.replace(given, contacts={("bead", "floor"): contact}))
+        integrate(dataclasses.replace(given, contacts={(0, 1): contact}))
     with pytest.raises(RenderError, match="dt = 0"):
         integrate(dataclasses.replace(given, dt=0.0))
     soft = dataclasses.replace(contact, rolling_friction=0.0, k=0.01)
     with pytest.raises(RunError, match=r"bead–floor: the overlap reached the radius"):
-        integrate(dataclasses.replace(given, contacts={("bead", "floor"): soft}, n_steps=10**6))
+        integrate(dataclasses.replace(given, contacts={(0, 1): soft}, n_steps=10**6))
 
 
 def test_frames_beyond_all_memory_end_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -302,8 +302,8 @@ def test_engine_says_how_a_run_ended(tmp_path: Path) -> None:
     slow = engine.run(dataclasses.replace(given, n_steps=10**9), tmp_path, timeout=0.05)
     assert slow.status == "timed_out"
     assert "0.05 s" in slow.message
-    contact = dataclasses.replace(given.contacts["bead", "floor"], k=0.01)
-    soft = dataclasses.replace(given, contacts={("bead", "floor"): contact}, n_steps=10**6)
+    contact = dataclasses.replace(given.between("bead", "floor"), k=0.01)
+    soft = dataclasses.replace(given, contacts={(0, 1): contact}, n_steps=10**6)
     failed = engine.run(soft, tmp_path)
     assert failed.status == "failed"
     assert "overlap reached the radius" in failed.message

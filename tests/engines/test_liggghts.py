@@ -99,7 +99,7 @@ def test_pair_and_wall_impacts_are_the_models(tmp_path: Path, kind: str, end: st
     def check(names: tuple[str, str], axis: int, wall: float | None) -> float:
         a, b = beads[names[0]], beads.get(names[1])
         side = 1.0 if wall is None or wall > a.position[axis] else -1.0
-        contact = model.contacts[names]
+        contact = model.between(*names)
         masses = [float(sphere_mass(a.material, a.radius)), math.inf]
         x, v, reach = [side * a.position[axis]], [side * a.velocity[axis]], a.radius
         recorded = frames.x[:, index[a.name], axis] * side

@@ -99,7 +99,7 @@ def test_a_settled_bed_rests_on_its_floor(tmp_path: Path, friction: float) -> No
     linear = model(bed, k_n=50.0, dt=2e-5)
     x = packing(linear)
     assert x.shape == (450, 3)
-    c = linear.contacts["particles", "walls"]
+    c = linear.between("particles", "walls")
     with LiggghtsDem(linear, tmp_path, x) as dem:
         rest = [dem.run(1000, still(bed)) for _ in range(5)][-1]
         y, _ = dem.state()

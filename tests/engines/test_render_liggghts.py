@@ -81,7 +81,7 @@ def test_linear_properties_are_the_models_numbers_and_symmetric(tmp_path: Path) 
     types = {"a": 0, "b": 1, "floor": 2}
     assert np.array_equal(kn, kn.T)
     assert np.array_equal(gamman, gamman.T)
-    for (one, two), contact in model.contacts.items():
+    for (one, two), contact in ((names, model.between(*names)) for names in (("a", "b"), ("a", "floor"))):
         assert kn[types[one], types[two]] == contact.k
         assert gamman[types[one], types[two]] == contact.c
 
@@ -98,8 +98,8 @@ def test_an_exception_makes_a_type_of_its_own(tmp_path: Path) -> None:
     model = plan(scene(*beads, pairs=(choice,)), ["linear"])["linear"]
     gamman = table(rendered(model, tmp_path), "gamman_abs")
     assert gamman.shape == (3, 3)  # b0, b2, and the others
-    assert gamman[0, 2] == model.contacts["b0", "b2"].c
-    assert gamman[0, 1] == model.contacts["b0", "b1"].c
+    assert gamman[0, 2] == model.between("b0", "b2").c
+    assert gamman[0, 1] == model.between("b0", "b1").c
     assert gamman[0, 2] > gamman[0, 1]
 
 
@@ -187,7 +187,7 @@ def test_nothing_tangential_without_need_and_everything_with_it(tmp_path: Path) 
         assert "tangential_damping off" in deck
         assert np.all(table(deck, "coefficientFriction") == 0.3)
         if kind == "linear":
-            assert table(deck, "kt")[0, 1] == model.contacts["a", "floor"].k_t
+            assert table(deck, "kt")[0, 1] == model.between("a", "floor").k_t
             assert np.all(table(deck, "gammat_abs") == 0.0)
 
 
@@ -273,7 +273,6 @@ HOSTILE = [
 @pytest.mark.parametrize("where", ["scene", "particle", "wall"])
 def test_hostile_names_never_reach_a_deck(tmp_path: Path, models: dict[str, Model], where: str, name: str) -> None:
     model = models["linear"]
-    ((_, contact),) = model.contacts.items()
     (particle,), (wall,) = model.scene.particles, model.scene.walls
     names = {"scene": "s", "particle": "p", "wall": "w"} | {where: name}
     hostile = dataclasses.replace(
@@ -282,9 +281,8 @@ def test_hostile_names_never_reach_a_deck(tmp_path: Path, models: dict[str, Mode
         particles=(dataclasses.replace(particle, name=names["particle"]),),
         walls=(dataclasses.replace(wall, name=names["wall"]),),
     )
-    pair = (names["particle"], names["wall"])
     with pytest.raises(RenderError, match="rename it"):
-        Liggghts().render(dataclasses.replace(model, scene=hostile, contacts={pair: contact}), tmp_path)
+        Liggghts().render(dataclasses.replace(model, scene=hostile), tmp_path)
     assert not list(tmp_path.iterdir())
 
 

@@ -222,7 +222,7 @@ def test_what_limits_the_contacts_that_happened_is_in_the_verdict():
         observations = replace(data.observations, contacts=(event,) if met else ())
         return replace(data, model=replace(data.model, contacts=contacts), observations=observations)
 
-    assert list(limited("linear", True).model.contacts) == [("bead", "floor")]
+    assert list(limited("linear", True).model.named) == [("bead", "floor")]
     said = " ".join(compare(limited("linear", True), limited("hertz", True), {}).sentences)
     assert "bead–floor: the contact is plastic" in said
     assert "pulls" not in said  # nearly every damped contact has it: it stands in the tables

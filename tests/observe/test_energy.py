@@ -23,7 +23,7 @@ SPHERE = ingredients(load_case("wall_impact"))
 def balance(kind: str, e_n: float, n: float) -> float:
     """Root mean square over sub-step phases of the balance error of an impact at n steps per contact [-]."""
     probe = impact_on_wall(SPHERE, kind, e_n)
-    t_c = probe.model.contacts["s0", "floor"].t_c
+    t_c = probe.model.between("s0", "floor").t_c
     model = at_step(probe.model, t_c / n, steps_of_impact(probe, t_c / n))
     frames = integrate(model)
     found = energy(model, frames)
@@ -61,7 +61,7 @@ def test_each_form_of_energy_against_mechanics() -> None:
     assert found.potential[touch] == pytest.approx(-m * 9.80665 * fallen, rel=1e-12)
     assert found.kinetic[touch] == pytest.approx(m * 9.80665 * fallen, rel=1e-9)
     deepest = int(np.argmin(frames.x[:, 0, 2]))
-    c = model.contacts["ball", "floor"]
+    c = model.between("ball", "floor")
     delta = ball.radius - frames.x[deepest, 0, 2]
     assert found.stored[deepest] == pytest.approx(0.5 * c.k * delta**2, rel=1e-12)
     # the shadow energy of velocity Verlet differs from the energy by (omega dt)²/4 at most, (pi/50)²/4 here

@@ -170,7 +170,7 @@ def test_start_of_a_contact_is_found_between_steps() -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_slip_ends_as_the_closed_form_says(kind: str) -> None:
-    contact = model(on_wall(), kind, t_end=1.0).contacts["bead", "floor"]
+    contact = model(on_wall(), kind, t_end=1.0).between("bead", "floor")
     rest = (contact.m_eff * 9.81 / contact.k) ** (1.0 / contact.n)
     scene = on_wall(gap=-rest, velocity=(0.06, 0.08, 0.0), gravity=9.81)
     given_ = model(scene, kind, t_end=0.012, friction=0.4, record_every=5)

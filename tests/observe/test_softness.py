@@ -15,10 +15,10 @@ from kncal.observe.softness import secant, signs, sound_speed
 from kncal.physics.impact import dimensionless_impact
 from kncal.runs.solving import get_engine
 from kncal.runs.workflow import load_run, run_case
-from kncal.scene.bed_planning import plan_bed
 from kncal.scene.case_file import load_scene
 from kncal.scene.load import bottom_overlaps
 from kncal.scene.model import PairContact
+from kncal.scene.plan import plan
 from kncal.scene.scene import ContactChoice
 
 D, RHO, G = SCENE.particles.diameter, 1000.0, SCENE.gravity
@@ -53,7 +53,7 @@ def test_overlaps_of_a_column_of_particles_at_rest():
         particles=replace(SCENE.particles, count=number),
         contact=ContactChoice(e_n=0.9, v_0=0.5, k_n=k),
     )
-    pair, floor = bottom_overlaps(plan_bed(scene, ("linear",))["linear"]).values()
+    pair, floor = bottom_overlaps(plan(scene, ("linear",))["linear"]).values()
     # K u = m g: displacements u, from the lowest up; each joined to the one below (the lowest to the floor)
     stiffness = k * (2.0 * np.eye(number) - np.eye(number, k=1) - np.eye(number, k=-1))
     stiffness[-1, -1] = k

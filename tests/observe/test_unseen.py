@@ -10,7 +10,8 @@ import pytest
 from kncal.cli import main
 from kncal.core.units import percent
 from kncal.scene.case_file import load_case
-from kncal.scene.limits import FEWEST_FRAMES, check_scene
+from kncal.scene.contact_limits import FEWEST_FRAMES
+from kncal.scene.limits import check
 from kncal.scene.plan import plan
 from kncal.scene.scene import Scene
 
@@ -28,9 +29,7 @@ def messages(case: str, *changes: str) -> dict[str, list[str]]:
     """Kind -> what is said of its recording."""
     scene = load_case(case, overrides=changes)
     assert isinstance(scene, Scene)
-    return {
-        kind: [f.message for f in check_scene(model) if f.code == "not-recorded"] for kind, model in plan(scene).items()
-    }
+    return {kind: [f.message for f in check(model) if f.code == "not-recorded"] for kind, model in plan(scene).items()}
 
 
 def test_a_contact_that_passes_between_two_frames_is_told_before_the_run_and_after(
@@ -75,7 +74,7 @@ def test_the_verdict_names_the_largest_difference_that_nobody_judged(
     """A spring 34 times too soft keeps e_n, and lasts sqrt(34) times as long: "within tolerance", but of e_n alone."""
     scene = load_case("wall_impact")
     assert isinstance(scene, Scene)
-    k_n = plan(scene)["linear"].contacts["sphere", "floor"].k / 34.0
+    k_n = plan(scene)["linear"].between("sphere", "floor").k / 34.0
     changes = [f"contact.k_n={k_n!r}", "contact.method=none", "tolerances={e_n=0.05}"]
     sets = [part for change in changes for part in ("--set", change)]
     code, out, _ = kncal(capsys, "compare", "wall_impact", *sets, *QUICK, str(tmp_path / "run"), "--json")

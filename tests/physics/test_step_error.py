@@ -17,11 +17,8 @@ from kncal.observe.contacts import observe
 from kncal.physics.timestep import instead_of_zero, predict_error, restitution_error
 from kncal.runs.solving import get_engine
 from kncal.scene.bed_case_file import load_bed
-from kncal.scene.bed_limits import check_bed
-from kncal.scene.bed_planning import plan_bed
-from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import load_case
-from kncal.scene.limits import check_scene
+from kncal.scene.limits import check
 from kncal.scene.plan import plan
 from kncal.study.stability.accuracy import steps_of_impact
 from kncal.study.stability.probes import at_step, impact_on_wall, ingredients
@@ -85,7 +82,7 @@ def test_liggghts_at_fifty_steps(e_n: float, off: float, tmp_path: Path) -> None
     """Spheres side by side, at eight sub-step phases: e_n is 4.2 and 13 % off at the worst of a few phases."""
     engine = get_engine("liggghts")
     probe = impact_on_wall(ingredients(load_case("wall_impact")), "linear", e_n)
-    t_c = probe.model.contacts["s0", "floor"].t_c
+    t_c = probe.model.between("s0", "floor").t_c
     model = at_step(probe.model, t_c / 50.0, steps_of_impact(probe, t_c / 50.0))
     engine.render(model, tmp_path)
     assert engine.run(model, tmp_path, timeout=60.0).status == "completed"
@@ -100,10 +97,7 @@ def test_liggghts_at_fifty_steps(e_n: float, off: float, tmp_path: Path) -> None
 def said(case: str, *changes: str, code: str, kind: str = "linear") -> list[str]:
     """Messages of ``code`` about a case, of single contacts or a bed."""
     scene = load_case(case, overrides=changes)
-    if isinstance(scene, BedScene):
-        findings = check_bed(plan_bed(scene, (kind,))[kind])
-    else:
-        findings = check_scene(plan(scene, (kind,))[kind])
+    findings = check(plan(scene, (kind,))[kind])
     return [finding.message for finding in findings if finding.code == code and finding.level == "warn"]
 
 
@@ -132,9 +126,9 @@ def test_a_pair_that_lasts_longer_is_judged_by_its_own_steps() -> None:
     """A wall whose contact lasts 1.6 times as long as that of two particles has as many more steps."""
     bed = load_bed("bubbling_bed_mini")
     bed = replace(bed, contact=replace(bed.contact, e_n=0.3), run=replace(bed.run, steps_per_contact=22.0))
-    model = plan_bed(bed, ("linear",))["linear"]
-    wall, both = (model.contacts["particles", name] for name in ("walls", "particles"))
-    texts = {m.message.split(":")[0]: m.message for m in check_bed(model) if m.code == "dem-step"}
+    model = plan(bed, ("linear",))["linear"]
+    wall, both = (model.between("particles", name) for name in ("walls", "particles"))
+    texts = {m.message.split(":")[0]: m.message for m in check(model) if m.code == "dem-step"}
     wanted = {who: float(text.split("run.steps_per_contact = ")[1].split()[0]) for who, text in texts.items()}
     ratio = wanted["particles–particles"] / wanted["particles–walls"]
     assert ratio == pytest.approx(wall.t_c / both.t_c, rel=0.01)

@@ -53,7 +53,7 @@ def test_times_and_steps() -> None:
             for key in ("end_time", "coupling", "frames_every", "gas_step", "discard"):
                 tables = tomllib.loads(Path({str(BED)!r}).read_text())
                 tables["run"][key] = value
-                attempt(lambda: plan_bed(parse_bed("", name="x", tables=tables)))
+                attempt(lambda: plan(parse_bed("", name="x", tables=tables)))
     """)
     assert len(lines) == 7 * len(values)
     for i, value in enumerate(values):
@@ -68,7 +68,7 @@ def test_counts() -> None:
         def bed(table, key, value):
             tables = tomllib.loads(Path({str(BED)!r}).read_text())
             tables[table][key] = value
-            attempt(lambda: plan_bed(parse_bed("", name="x", tables=tables)))
+            attempt(lambda: plan(parse_bed("", name="x", tables=tables)))
         bed("particles", "count", 10**6 + 1)
         bed("particles", "count", 10**30)
         bed("column", "cells", [10_000, 10_000, 10_000])
@@ -91,7 +91,7 @@ def test_frames_that_would_fill_the_disk_are_refused() -> None:
         tables = tomllib.loads(Path({str(BED)!r}).read_text())
         tables["column"]["cells"] = [100, 10, 100]
         tables["run"] |= {{"end_time": 50.0, "frames_every": 1e-9}}
-        attempt(lambda: plan_bed(parse_bed("", name="x", tables=tables)))
+        attempt(lambda: plan(parse_bed("", name="x", tables=tables)))
     """)
     assert re.match(r"CaseFileError .* frames of .*run.frames_every", line)
 

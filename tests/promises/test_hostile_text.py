@@ -28,10 +28,10 @@ from kncal.record.openfoam import refuse_code
 from kncal.runs.folder import refuse_links
 from kncal.runs.solving import get_engine
 from kncal.runs.workflow import render_case, run_case
-from kncal.scene.bed_planning import plan_bed
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import load_case, parse_case, shipped_cases
 from kncal.scene.case_text import find_case, toml_value
+from kncal.scene.plan import plan
 
 #: What each would do is leave a file called "ran".
 HOSTILE = [
@@ -139,7 +139,7 @@ def test_what_is_rendered_for_every_shipped_case_holds_no_code(name: str, tmp_pa
     tables = changed(text, ("title",), "HOSTILE; shell touch ran; #calc")
     scene = load(text, tables, name=name)
     if isinstance(scene, BedScene):
-        for kind, model in plan_bed(scene).items():
+        for kind, model in plan(scene).items():
             if model.contacts:
                 (tmp_path / f"{kind}.in").write_text(deck_text(bed_deck(model)))
             if (setup := gas_setup(model)) is not None:

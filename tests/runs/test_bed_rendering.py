@@ -18,9 +18,9 @@ from kncal.engines.dpmfoam.adapter_build import find
 from kncal.record.openfoam import read_cells
 from kncal.record.series import UNITS, read_series
 from kncal.runs.workflow import render_case, run_case
-from kncal.scene.bed_planning import plan_bed
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import load_case
+from kncal.scene.plan import plan
 
 COUNT, END = 60, 0.005
 #: A loose lattice needs no settling; ten couplings.
@@ -61,7 +61,7 @@ def test_a_rendered_bed_runs_by_hand(capsys, tmp_path):
     code, printed, _ = kncal(capsys, "render", "bubbling_bed_mini", *FLAGS, "--out", out)
     assert code == 0
     assert "needs kncal" in printed
-    model = plan_bed(small(), ("linear",))["linear"]
+    model = plan(small(), ("linear",))["linear"]
     steps = 100
     fall = 0.5 * 9.81 * (steps * model.dt) ** 2
     assert fall < 0.04 * model.scene.particles.diameter  # the least gap of the lattice
@@ -172,7 +172,7 @@ def test_kn_of_a_bed_has_both_pairs_with_the_numbers_of_its_models(capsys):
     assert set(pairs) == {"particles–particles", "particles–walls"}
     scene = load_case("bubbling_bed_mini")
     assert isinstance(scene, BedScene)
-    for (a, b), contact in plan_bed(scene, ("linear",))["linear"].contacts.items():
+    for (a, b), contact in plan(scene, ("linear",))["linear"].named.items():
         (row,) = [row for row in pairs[f"{a}–{b}"]["methods"] if row["method"] == "mean_overlap"]
         assert row["k_n"] == contact.k
         assert row["eta_n"] == contact.c

@@ -22,9 +22,9 @@ from kncal.engines.dpmfoam.adapter_build import find
 from kncal.record.series import BedSeries, read_series
 from kncal.runs.solving import plan_checked
 from kncal.runs.workflow import load_bed_run, run_case
-from kncal.scene.bed_planning import plan_bed
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import dump_case, load_case
+from kncal.scene.plan import plan
 
 pytestmark = pytest.mark.solver
 
@@ -84,13 +84,13 @@ def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(whole, tmp_path, m
     results = run_case(scene, Coupled("restart"), out, ("linear",), timeout=1.5)
     assert results["linear"].status == "timed_out"
     stopped = len(read_series(out / "linear" / "series").t)
-    assert 0 < stopped < plan_bed(scene)["linear"].couplings
+    assert 0 < stopped < plan(scene)["linear"].couplings
     monkeypatch.setattr("kncal.engines.loop.CHECKPOINT_SECONDS", 1e9)
     said: list[str] = []
     results = run_case(scene, Coupled("restart"), out, ("linear",), tell=said.append)
     assert results["linear"].status == "completed"
     assert f"resumes: it ended as timed out; from coupling {stopped} of" in said[0]
-    assert results["linear"].extra["couplings"] == plan_bed(scene)["linear"].couplings  # of both parts, as the cost is
+    assert results["linear"].extra["couplings"] == plan(scene)["linear"].couplings  # of both parts, as the cost is
     one, two = (numbers(read_series(folder / "linear" / "series")) for folder in (out, whole))
     # Saving sums forces in another order, a relative 1e-16 per step, which contacts amplify.
     scale = np.abs(two).max(axis=1, keepdims=True)
@@ -145,7 +145,7 @@ def test_a_checkpoint_of_a_coupling_that_was_not_computed_is_not_gone_on_with(tm
     scene, out = mini(0.01), tmp_path / "run"
     assert run_case(scene, Coupled("restart"), out, ("linear",), timeout=0.5)["linear"].status == "timed_out"
     checkpoint = last_checkpoint(out / "linear")
-    end = plan_bed(scene, ("linear",))["linear"].couplings
+    end = plan(scene, ("linear",))["linear"].couplings
     assert checkpoint is not None and checkpoint.coupling < end
     record = json.loads((checkpoint.path / "checkpoint.json").read_text())
     (checkpoint.path / "checkpoint.json").write_text(json.dumps(record | {"coupling": end}))
@@ -205,7 +205,7 @@ def test_a_killed_gas_solver_is_a_failed_run_and_leaves_nothing(tmp_path):
 
     before = _children("python")
     started = time.monotonic()
-    result = Coupled("live").run(plan_bed(scene)["linear"], folder, lattice(scene), progress=kill)
+    result = Coupled("live").run(plan(scene)["linear"], folder, lattice(scene), progress=kill)
     assert killed
     assert result.status == "failed"
     assert "DPMFoam" in result.message
@@ -229,7 +229,7 @@ def test_what_closing_says_does_not_hide_why_a_run_ended(tmp_path):
             os.kill(pid, signal.SIGKILL)
         raise KeyboardInterrupt
 
-    result = Coupled("live").run(plan_bed(scene)["linear"], folder, lattice(scene), progress=kill_and_interrupt)
+    result = Coupled("live").run(plan(scene)["linear"], folder, lattice(scene), progress=kill_and_interrupt)
     assert (result.status, result.failure) == ("interrupted", "")
     assert _children("DPMFoam") == []
     assert _children("python") == before

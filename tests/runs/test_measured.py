@@ -147,7 +147,7 @@ def test_bounces_are_averaged_and_the_second_round_settles(tmp_path: Path) -> No
     assert [r["v_0"] for r in record["rounds"]] == pytest.approx([v, exact], rel=5e-3)
     # k_n ~ v^(2/5)
     assert record["rounds"][0]["change"] == pytest.approx((exact / v) ** 0.4 - 1.0, abs=2e-3)
-    assert plan(resolved)["linear"].contacts["ball", "floor"].v_0 == resolved.contact.v_0
+    assert plan(resolved)["linear"].between("ball", "floor").v_0 == resolved.contact.v_0
 
     results = sorted((tmp_path / "measuring").glob("round-*/linear/result.json"))
     assert len(results) == 2

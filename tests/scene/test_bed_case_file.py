@@ -16,10 +16,10 @@ from kncal.core.shipped import folder
 from kncal.scene.bed_case_checks import _too_close
 from kncal.scene.bed_case_file import dump_bed, load_bed, parse_bed
 from kncal.scene.bed_metrics import BED_METRICS
-from kncal.scene.bed_needs import decide
 from kncal.scene.bed_scene import DEPTHS, PACKINGS, PARCELS, BedScene, Gas, Jet
 from kncal.scene.bed_schema import BedParticlesTable, ColumnTable, GasTable
 from kncal.scene.case_file import load_case, load_scene, shipped_cases
+from kncal.scene.needs import decide
 from kncal.scene.scene import Scene
 
 GOOD = """\

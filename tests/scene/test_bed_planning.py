@@ -14,11 +14,11 @@ from kncal.engines.liggghts.impacts import speed_edges
 from kncal.engines.liggghts.library_child import histogram_edges
 from kncal.physics.timestep import contact_time
 from kncal.scene.bed_case_file import load_bed
-from kncal.scene.bed_needs import BED_PHYSICS, decide
-from kncal.scene.bed_planning import COUPLING_BYTES, bed_pairs, plan_bed
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import shipped_cases
 from kncal.scene.model import KINDS
+from kncal.scene.needs import BED_PHYSICS, decide
+from kncal.scene.plan import COUPLING_BYTES, pair_of, plan
 from kncal.scene.scene import PairChoice
 
 MINI = load_bed("bubbling_bed_mini")
@@ -32,7 +32,7 @@ def with_contact(bed: BedScene, **changes) -> BedScene:
 @pytest.mark.parametrize("name", shipped_cases(beds=True))
 def test_every_shipped_bed_can_be_planned(name):
     bed = load_bed(name)
-    models = plan_bed(bed)
+    models = plan(bed)
     assert tuple(models) == KINDS
     for model in models.values():
         assert model.coupling == model.steps_per_coupling * model.dt
@@ -42,7 +42,7 @@ def test_every_shipped_bed_can_be_planned(name):
         assert (model.couplings - 1) * model.coupling < bed.run.end_time
         shortest = min(c.t_c for c in model.contacts.values())
         assert model.dt * bed.run.steps_per_contact == pytest.approx(shortest, rel=1e-12)
-    linear, hertz = (models[kind].contacts for kind in KINDS)
+    linear, hertz = (models[kind].named for kind in KINDS)
     for names in PAIRS:
         one, two = linear[names], hertz[names]
         assert (one.friction, one.rolling_friction, one.m_eff, one.end) == (
@@ -55,10 +55,10 @@ def test_every_shipped_bed_can_be_planned(name):
 
 def test_the_numbers_are_those_of_the_calibration():
     material, radius = MINI.particles.material, MINI.particles.diameter / 2.0
-    models = plan_bed(MINI)
+    models = plan(MINI)
     for names, both in zip(PAIRS, (pair(material, radius), wall_pair(material, radius, material)), strict=True):
         c = calibrate(both, v_0=0.2, e_n=0.9)
-        linear, hertz = (models[kind].contacts[names] for kind in KINDS)
+        linear, hertz = (models[kind].between(*names) for kind in KINDS)
         assert linear.k == pytest.approx(c.k_n, rel=1e-12)
         assert linear.c == pytest.approx(c.eta_n, rel=1e-12)
         assert linear.t_c == pytest.approx(c.t_c, rel=1e-12)
@@ -70,72 +70,72 @@ def test_the_numbers_are_those_of_the_calibration():
 
 def test_the_step_of_mfix_in_its_tutorial():
     """MFIX prints 1.33715e-5 s for fluid_bed_2d: a fiftieth of the particles' contact."""
-    model = plan_bed(load_bed("bubbling_bed"), ["linear"])["linear"]
+    model = plan(load_bed("bubbling_bed"), ["linear"])["linear"]
     assert model.dt == pytest.approx(1.33715e-5, rel=1e-5)
     assert model.steps_per_coupling == 37
-    walls = model.contacts["particles", "walls"]
+    walls = model.between("particles", "walls")
     assert (walls.e_n, walls.c, walls.k) == (1.0, 0.0, 1000.0)
 
 
 def test_rigid_walls_are_stiffer():
     rigid = replace(MINI, column=replace(MINI.column, wall_material=None))
-    soft, hard = (plan_bed(bed)["linear"].contacts["particles", "walls"] for bed in (MINI, rigid))
+    soft, hard = (plan(bed)["linear"].between("particles", "walls") for bed in (MINI, rigid))
     assert hard.k == pytest.approx(2.0**0.8 * soft.k, rel=1e-12)  # k_n goes with k_h^(4/5), k_h with E_eff
-    one, two = (bed_pairs(bed)["particles", "particles"] for bed in (MINI, rigid))
+    one, two = (pair_of(*[bed.bodies[0]] * 2) for bed in (MINI, rigid))
     assert (one.m_eff, one.R_eff, one.E_eff) == (two.m_eff, two.R_eff, two.E_eff)
 
 
 def test_exceptions_by_kind_and_by_material():
     for between in (("particles", "walls"), ("walls", "particles"), ("soft", "walls")):
         bed = with_contact(MINI, pairs=(PairChoice(between=between, e_n=0.5, friction=0.7),))
-        contacts = plan_bed(bed)["linear"].contacts
+        contacts = plan(bed)["linear"].named
         assert (contacts["particles", "walls"].e_n, contacts["particles", "walls"].friction) == (0.5, 0.7)
         assert (contacts["particles", "particles"].e_n, contacts["particles", "particles"].friction) == (0.9, 0.1)
     everything = with_contact(MINI, pairs=(PairChoice(between=("soft", "soft"), friction=0.7),))
-    assert {c.friction for c in plan_bed(everything)["linear"].contacts.values()} == {0.7}
+    assert {c.friction for c in plan(everything)["linear"].contacts.values()} == {0.7}
 
 
 def test_friction_that_is_not_needed_is_left_out():
     bed = replace(with_contact(MINI, rolling_friction=0.1), overrules={"tangential": False})
-    for contact in plan_bed(bed)["hertz"].contacts.values():
+    for contact in plan(bed)["hertz"].contacts.values():
         assert (contact.friction, contact.rolling_friction) == (0.0, 0.0)
 
 
 def test_without_speed_or_stiffness_there_is_no_contact():
     with pytest.raises(CaseFileError, match=r"no first impact to calibrate at: expected contact\.v_0"):
-        plan_bed(with_contact(MINI, v_0=None))
+        plan(with_contact(MINI, v_0=None))
 
 
 def test_prescribed_stiffness_without_speed_takes_the_resting_hertz_contact():
     bed = with_contact(MINI, v_0=None, k_n=100.0)
-    models = plan_bed(bed)
-    linear, hertz = (models[kind].contacts["particles", "particles"] for kind in KINDS)
+    models = plan(bed)
+    linear, hertz = (models[kind].between("particles", "particles") for kind in KINDS)
     assert linear.k == 100.0
     assert linear.t_c == pytest.approx(float(contact_time(100.0, linear.m_eff, 0.9)), rel=1e-12)
     assert hertz.v_0 is hertz.delta_max is None
     # half a period about the overlap that the weight above presses together: stiffer under a deeper bed
     deep = replace(bed, particles=replace(bed.particles, count=2 * bed.particles.count))
-    deeper = plan_bed(deep)["hertz"].contacts["particles", "particles"]
+    deeper = plan(deep)["hertz"].between("particles", "particles")
     assert hertz.t_c / deeper.t_c == pytest.approx(2.0 ** (1.0 / 6.0), rel=1e-12)
-    with pytest.raises(CaseFileError, match=r"no gravity between particles and particles"):
-        plan_bed(replace(bed, gravity=0.0))
+    with pytest.raises(CaseFileError, match=r"no gravity between 'particles' and 'particles'"):
+        plan(replace(bed, gravity=0.0))
 
 
 def test_nothing_for_liggghts_means_no_contacts_and_the_wished_interval():
     gas_only = replace(with_contact(MINI, v_0=None), particles=replace(MINI.particles, count=0))
-    model = plan_bed(gas_only)["linear"]
+    model = plan(gas_only)["linear"]
     assert model.contacts == {}
     assert (model.steps_per_coupling, model.dt, model.coupling) == (1, 5e-4, 5e-4)
 
 
 def test_frozen_but_settled_has_the_contacts_of_its_settling():
-    assert set(plan_bed(load_bed("packed_bed"))["hertz"].contacts) == set(PAIRS)
+    assert set(plan(load_bed("packed_bed"))["hertz"].named) == set(PAIRS)
 
 
 @given(st.floats(1e-6, 1e-2), st.floats(4.0, 500.0))
 def test_interval_and_step_fit_each_other(coupling, steps):
     bed = replace(MINI, run=replace(MINI.run, coupling=coupling, steps_per_contact=steps, end_time=0.02))
-    for model in plan_bed(bed).values():
+    for model in plan(bed).values():
         assert model.steps_per_coupling >= 1
         assert model.coupling == model.steps_per_coupling * model.dt
         assert model.coupling <= coupling * (1.0 + 1e-8)
@@ -144,17 +144,17 @@ def test_interval_and_step_fit_each_other(coupling, steps):
 
 
 def test_an_interval_that_is_a_whole_number_of_steps_stays_one():
-    dt = plan_bed(MINI, ["linear"])["linear"].dt
+    dt = plan(MINI, ["linear"])["linear"].dt
     for n in (1, 3, 7, 49, 1000):
         bed = replace(MINI, run=replace(MINI.run, coupling=n * dt))
-        assert plan_bed(bed, ["linear"])["linear"].steps_per_coupling == n
+        assert plan(bed, ["linear"])["linear"].steps_per_coupling == n
 
 
 def test_endless_runs_are_refused():
     hard = replace(MINI.particles.material, young=6e10)
     bed = replace(MINI, particles=replace(MINI.particles, material=hard), run=replace(MINI.run, end_time=1e3))
     with pytest.raises(CaseFileError, match=r"the linear model needs .* steps .*softer material"):
-        plan_bed(bed)
+        plan(bed)
 
 
 # --- what a bed needs -----------------------------------------------------------------------------------------
@@ -171,7 +171,7 @@ def test_records_that_fill_the_memory_are_refused(column, run):
     """2000 frames of a million gas cells; ten million couplings."""
     bed = replace(MINI, column=replace(MINI.column, **column), run=replace(MINI.run, **run))
     with pytest.raises(CaseFileError, match=r"run\.frames_every.*run\.coupling"):
-        plan_bed(bed)
+        plan(bed)
 
 
 def test_what_a_coupling_records_is_as_large_as_planned():
@@ -226,7 +226,7 @@ def test_a_single_particle_touches_nothing_unless_it_gets_there():
     ("gas_step", "steps"), [(None, 1), (5e-4, 1), (2.5e-4, 2), (2.4e-4, 3), (1e-4, 5), (1.3e-5, 39)]
 )
 def test_gas_steps_are_no_longer_than_asked_for_and_fill_the_interval(gas_step, steps):
-    model = plan_bed(replace(MINI, run=replace(MINI.run, coupling=5e-4, gas_step=gas_step)), ["linear"])["linear"]
+    model = plan(replace(MINI, run=replace(MINI.run, coupling=5e-4, gas_step=gas_step)), ["linear"])["linear"]
     assert model.gas_steps in (steps, steps - 1)  # the interval is rounded down to whole DEM steps
     assert model.gas_step * model.gas_steps == pytest.approx(model.coupling, rel=1e-15)
     if gas_step is not None:

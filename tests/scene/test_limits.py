@@ -9,18 +9,12 @@ import pytest
 from kncal.core.errors import CaseFileError
 from kncal.physics.fluidization import minimum_fluidization_velocity, terminal_velocity
 from kncal.scene.bed_case_file import load_bed
-from kncal.scene.bed_limits import (
-    EPS_SETTLED,
-    check_bed,
-    findings_of,
-    largest_superficial,
-    settled_height,
-    settled_voidage,
-)
-from kncal.scene.bed_planning import plan_bed
 from kncal.scene.bed_scene import BedScene, Jet
 from kncal.scene.case_file import shipped_cases
 from kncal.scene.finding import Finding, require_possible
+from kncal.scene.limits import check, findings_of
+from kncal.scene.load import EPS_SETTLED, largest_superficial, settled_height, settled_voidage
+from kncal.scene.plan import plan
 
 MINI = load_bed("bubbling_bed_mini")
 JET = load_bed("bubbling_bed")
@@ -29,11 +23,11 @@ ONE = load_bed("terminal_velocity_intermediate")
 
 def found(bed: BedScene, positions=None) -> dict[str, str]:
     """Code -> level of every finding for the linear model."""
-    return {f.code: f.level for f in check_bed(plan_bed(bed, ["linear"])["linear"], positions)}
+    return {f.code: f.level for f in check(plan(bed, ["linear"])["linear"], positions)}
 
 
 def message(bed: BedScene, code: str) -> str:
-    return next(f.message for f in check_bed(plan_bed(bed, ["linear"])["linear"]) if f.code == code)
+    return next(f.message for f in check(plan(bed, ["linear"])["linear"]) if f.code == code)
 
 
 def change(bed: BedScene, part: str, **values) -> BedScene:
@@ -43,15 +37,15 @@ def change(bed: BedScene, part: str, **values) -> BedScene:
 @pytest.mark.parametrize("name", shipped_cases(beds=True))
 def test_shipped_beds_are_possible(name):
     """Nothing is refused; the jet bed's Courant number just above 1 is known and said in its README."""
-    for model in plan_bed(load_bed(name)).values():
-        findings = check_bed(model)
+    for model in plan(load_bed(name)).values():
+        findings = check(model)
         assert {(f.code, f.level) for f in findings} <= ({("courant", "warn")} if name == "bubbling_bed" else set())
         require_possible(findings)
 
 
 def test_refusals_come_first_and_are_raised_together():
     bad = change(change(MINI, "column", cells=(40, 2, 30)), "run", coupling=9e-3)
-    findings = check_bed(plan_bed(bad)["linear"])
+    findings = check(plan(bad)["linear"])
     levels = [f.level for f in findings]
     assert levels == sorted(levels, key=["refuse", "warn"].index)
     refused = [f for f in findings if f.level == "refuse"]
@@ -203,7 +197,7 @@ def test_a_lone_particle_needs_no_step_for_twelve_contacts():
     """It touches three walls at most, in a corner: omega dt < 2/sqrt(3), t_c/dt > 2.72; a case has 4 at least."""
     few = change(ONE, "run", steps_per_contact=4.0)
     assert found(few)["dem-step"] == "warn"
-    texts = [f.message for f in check_bed(plan_bed(few, ["linear"])["linear"]) if f.code == "dem-step"]
+    texts = [f.message for f in check(plan(few, ["linear"])["linear"]) if f.code == "dem-step"]
     assert len(texts) == 1  # of the walls; a lone particle meets no other
     two = change(few, "particles", count=2, positions=((0.001, 0.001, 0.01), (0.001, 0.001, 0.02)))
     assert found(two)["dem-step"] == "warn"
@@ -308,11 +302,11 @@ def test_superficial_velocity_and_height():
 @pytest.mark.parametrize("changes", [{"coupling": 5e-2}, {"coupling": 5e-3, "gas_step": 5e-3}])
 def test_what_both_models_have_in_common_is_refused_once(changes):
     scene = replace(MINI, run=replace(MINI.run, **changes))
-    both = plan_bed(scene)
+    both = plan(scene)
     assert both["linear"].coupling != both["hertz"].coupling  # so the numbers in the texts differ
-    codes = [f.code for f in findings_of(both.values()) if f.code in ("courant", "relaxation", "particle-way")]
+    codes = [f.code for _, f in findings_of(both.values()) if f.code in ("courant", "relaxation", "particle-way")]
     assert codes
     assert len(codes) == len(set(codes))
-    assert {f.code for f in check_bed(both["linear"]) if f.level == "refuse"} <= {
-        f.code for f in findings_of(both.values()) if f.level == "refuse"
+    assert {f.code for f in check(both["linear"]) if f.level == "refuse"} <= {
+        f.code for _, f in findings_of(both.values()) if f.level == "refuse"
     }

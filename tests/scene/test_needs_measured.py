@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from kncal.runs.workflow import load_bed_run, load_run
-from kncal.scene.bed_needs import decide as decide_bed
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import dump_case, load_case, load_scene, shipped_cases
 from kncal.scene.needs import decide
@@ -112,7 +111,7 @@ def test_a_bed_of_one_particle_that_touches_nothing_needs_no_friction(tmp_path: 
     overrides = (ROUGH, "contact.e_n=0.9", "run.end_time=0.004", "run.frames_every=0.001")
     scene = load_case("terminal_velocity", overrides=overrides)
     assert isinstance(scene, BedScene)
-    assert not decide_bed(scene).uses("tangential")
+    assert not decide(scene).uses("tangential")
     variants = [
         Variant(name=name, model="linear", overrides=(*overrides, *more))
         for name, more in (("left-out", ()), ("forced", ("needs.tangential=true",)))

@@ -65,18 +65,18 @@ def test_plan_of_every_case(case):
 def test_contact_numbers_are_those_of_the_calibration():
     ball, floor = FALL.body_pairs()[0]
     c = calibrate(pair_of(ball, floor), v_0=first_impact_speed(FALL), e_n=0.9)
-    contact = plan(FALL)["linear"].contacts["ball", "floor"]
+    contact = plan(FALL)["linear"].between("ball", "floor")
     assert contact.k == pytest.approx(c.k_n, rel=1e-12)
     assert contact.c == pytest.approx(c.eta_n, rel=1e-12)
     assert contact.t_c == pytest.approx(c.t_c, rel=1e-12)
     # Tsuji: c = C sqrt(m k_h)
-    hertz = plan(FALL)["hertz"].contacts["ball", "floor"]
+    hertz = plan(FALL)["hertz"].between("ball", "floor")
     assert hertz.c == pytest.approx(c.reference.C * math.sqrt(c.pair.m_eff * c.pair.k_h), rel=1e-12)
 
 
 def test_prescribed_stiffness_is_taken_to_the_last_digit():
     scene = replace(FALL, contact=replace(FALL.contact, k_n=5e4 / 3))
-    contact = plan(scene)["linear"].contacts["ball", "floor"]
+    contact = plan(scene)["linear"].between("ball", "floor")
     assert contact.k == 5e4 / 3
     assert contact.e_n == 0.9
 

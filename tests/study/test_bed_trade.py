@@ -149,14 +149,14 @@ def written(scene: BedScene, folder: Path) -> Path:
 
 
 def test_every_pair_is_softened_by_the_factor_and_keeps_its_restitution(tmp_path):
-    from kncal.scene.bed_planning import plan_bed
+    from kncal.scene.plan import plan
 
     case = written(mini(0.1), tmp_path)
     options = TradeOptions(reference=("materials.soft.young=5e8",), factors=(1.0, 0.01))
     top, groups = bed_contacts(case, options)
 
     def planned(contact, kind):
-        return plan_bed(load_case(case, overrides=contact.at(20.0).variant.overrides), (kind,))[kind]
+        return plan(load_case(case, overrides=contact.at(20.0).variant.overrides), (kind,))[kind]
 
     hard, soft = (planned(contact, "linear") for contact in groups["softened"])
     for pair, contact in hard.contacts.items():
@@ -195,7 +195,7 @@ def test_a_bed_that_gas_moves_starts_loose_and_one_at_rest_does_not(tmp_path):
 
 def test_a_stiff_bed_at_rest_is_settled_by_a_softer_spring():
     """Hertz's reference may be stiff; what it starts from is a packing in which overlaps are a thousandth of d."""
-    from kncal.scene.bed_planning import plan_bed
+    from kncal.scene.plan import plan
 
     def overlap(young: float) -> float:
         scene = mini(0.1)
@@ -203,8 +203,8 @@ def test_a_stiff_bed_at_rest_is_settled_by_a_softer_spring():
         column = replace(scene.column, wall_material=material)
         scene = replace(scene, column=column, particles=replace(scene.particles, material=material))
         scene = replace(scene, particles=replace(scene.particles, settle_k_n=settling_spring(scene)))
-        model = plan_bed(to_settle(scene), ("linear",))["linear"]
-        return bottom_overlaps(model)["particles", "particles"] / scene.particles.diameter
+        model = plan(to_settle(scene), ("linear",))["linear"]
+        return bottom_overlaps(model)[0, 0] / scene.particles.diameter
 
     assert overlap(7e10) == pytest.approx(START_OVERLAP)
     assert overlap(5e5) > START_OVERLAP / STIFF
@@ -213,8 +213,9 @@ def test_a_stiff_bed_at_rest_is_settled_by_a_softer_spring():
 @pytest.mark.parametrize("count", [300, 20_000])
 def test_all_candidates_settle_alike_however_many_particles_there_are(tmp_path, count):
     """A packing is found by a hash of what it depends on: the contact that is tried is not among that."""
+
     from kncal.engines.settle import _key
-    from kncal.scene.bed_planning import plan_bed
+    from kncal.scene.plan import plan
 
     scene = load_case("packed_bed")
     column = replace(scene.column, height=scene.column.height * max(count / scene.particles.count, 1.0))
@@ -229,7 +230,7 @@ def test_all_candidates_settle_alike_however_many_particles_there_are(tmp_path, 
         for steps in (10.0, 50.0):
             bed_scene = load_case(path, overrides=contact.at(steps).variant.overrides)
             assert bed_scene.particles.count == count
-            keys.add(_key(plan_bed(to_settle(bed_scene), ("linear",))["linear"], np.zeros((1, 3))))
+            keys.add(_key(plan(to_settle(bed_scene), ("linear",))["linear"], np.zeros((1, 3))))
     assert len(keys) == 1
 
 
@@ -237,9 +238,9 @@ def test_all_candidates_settle_alike_however_many_particles_there_are(tmp_path, 
 
 
 def track(parts: list[tuple[int, float]], couplings: int = 1000) -> Track:
-    from kncal.scene.bed_planning import plan_bed
+    from kncal.scene.plan import plan
 
-    model = replace(plan_bed(SCENE, ("linear",))["linear"], couplings=couplings)
+    model = replace(plan(SCENE, ("linear",))["linear"], couplings=couplings)
     found = Track(candidate=candidate("softened", 0.1, 10.0), model=model, folder=Path("nowhere"), key="")
     first = 0
     for last, cpu in parts:
@@ -290,12 +291,12 @@ def test_parts_that_kncal_would_not_write_are_not_taken_up_and_stop_nothing(tmp_
 
 def test_rates_are_found_from_parts_and_predict_other_steps():
     """Parts made with known costs per coupling and per particle-step give these back, and the cost of a third run."""
-    from kncal.scene.bed_planning import plan_bed
+    from kncal.scene.plan import plan
 
     count, a, b, gas = SCENE.particles.count, 5e-3, 2e-7, 3e-3
     tracks = []
     for steps, number in ((10, 200), (400, 50)):
-        model = replace(plan_bed(SCENE, ("linear",))["linear"], steps_per_coupling=steps)
+        model = replace(plan(SCENE, ("linear",))["linear"], steps_per_coupling=steps)
         dem = number * (a + b * steps * count)
         part = Part(first=0, last=number, dem=dem, gas=gas * number, exchange=0.0, wall=2.0 * dem, load=0.0)
         of = candidate("softened", 0.1, float(steps))
@@ -380,6 +381,6 @@ def test_runs_that_a_budget_stopped_go_on(tmp_path, monkeypatch):
 
 
 def couplings_of(scene: BedScene) -> int:
-    from kncal.scene.bed_planning import plan_bed
+    from kncal.scene.plan import plan
 
-    return plan_bed(scene, ("hertz",))["hertz"].couplings
+    return plan(scene, ("hertz",))["hertz"].couplings

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from kncal.cli import main
-from kncal.scene.bed_limits import settled_height
 from kncal.scene.case_file import load_case
+from kncal.scene.load import settled_height
 from kncal.study.stability import accuracy, maps, workflow
 from kncal.study.stability.accuracy import AccuracyEdge
 from kncal.study.stability.coupling_edges import BedEdge, BedPoint, reduced

@@ -30,7 +30,7 @@ BED = ingredients(load_case("bubbling_bed_mini"))
 def between_walls(kind: str, e_n: float) -> tuple[float, float]:
     """omega [1/s] and zeta of a sphere between two walls: springs and dashpots of two contacts side by side."""
     probe = pressed(SPHERE, kind, e_n, 2)
-    c = probe.model.contacts["s0", "x-low"]
+    c = probe.model.between("s0", "x-low")
     (ball,) = probe.scene.particles
     m = float(sphere_mass(ball.material, ball.radius))
     assert c.delta_max is not None

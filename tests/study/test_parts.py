@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from kncal.core.errors import InputError
-from kncal.scene.bed_planning import plan_bed
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import dump_case, load_case, shipped_cases
 from kncal.scene.plan import plan
@@ -40,7 +39,7 @@ def test_every_part_that_applies_gives_another_scene_that_can_be_planned(name: s
         assert (other != scene) == bool(part.overrides)
         assert part.overrides or part.model == "hertz"
         if isinstance(other, BedScene):
-            assert plan_bed(other, ("linear",))["linear"].couplings > 0
+            assert plan(other, ("linear",))["linear"].couplings > 0
         else:
             assert plan(other, ("linear",))["linear"].n_steps > 0
 

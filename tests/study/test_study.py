@@ -62,7 +62,7 @@ def test_every_variant_has_its_own_result_in_the_order_given(case, tmp_path):
     # four times softer is twice as long a contact, hence half as many steps
     assert found["softer"].dt == pytest.approx(2.0 * found["soft"].dt, rel=1e-12)
     data = {name: load_run(run.folder) for name, run in found.items()}
-    assert data["soft"].model.contacts["bead", "floor"].k == 1000.0
+    assert data["soft"].model.between("bead", "floor").k == 1000.0
     assert data["hertz"].model.scene.particles[0].material.young == 2e7
 
 

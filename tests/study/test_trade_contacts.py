@@ -216,8 +216,8 @@ def test_softening_scales_every_pair_and_nothing_else(tmp_path):
     assert len({c.k for c in before.contacts.values()}) == 3
     overrides = softened(where, scene, before, FACTOR, ("contact.pairs.0.k_n=none",))
     after = plan(load_scene(where, overrides=overrides), ("linear",))["linear"]
-    for names, contact in before.contacts.items():
-        soft = after.contacts[names]
+    for names, contact in before.named.items():
+        soft = after.between(*names)
         assert soft.k == pytest.approx(FACTOR * contact.k, rel=1e-12)
         assert (soft.e_n, soft.friction, soft.v_0) == (contact.e_n, contact.friction, contact.v_0)
         assert soft.t_c == pytest.approx(contact.t_c / math.sqrt(FACTOR), rel=1e-9)

@@ -173,7 +173,7 @@ def check(model: Model) -> None:
     RenderError
         For rolling friction, and for numbers that make no run (a step or stiffness that is not positive ...).
     """
-    for names, contact in model.contacts.items():
+    for names, contact in model.named.items():
         who = "–".join(names)
         if contact.rolling_friction > 0.0:
             raise RenderError(
@@ -213,7 +213,7 @@ def _contacts(model: Model, motion: _Motion) -> list[_Apply]:
     index = {p.name: i for i, p in enumerate(model.scene.particles)}
     applies = []
     for a, b in model.scene.body_pairs():
-        contact = model.contacts[a.name, b.name]
+        contact = model.between(a.name, b.name)
         if isinstance(b, Wall):
             applies.append(_wall_contact(model, contact, motion, index[a.name], b))
         else:

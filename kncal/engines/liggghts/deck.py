@@ -21,11 +21,8 @@ from kncal.engines.liggghts.deck_checks import check_bed, check_model, check_run
 from kncal.engines.liggghts.deck_tables import STYLES, AtomType, Contacts, contact_context
 from kncal.engines.liggghts.schedule import schedule
 from kncal.record.liggghts_log import END_MARKER
-from kncal.scene.bed_model import BedModel
-from kncal.scene.bed_planning import PARTICLES, WALLS
-from kncal.scene.bed_scene import BedScene
-from kncal.scene.model import Model
-from kncal.scene.needs import decide
+from kncal.scene.bed_scene import PARTICLES, WALLS, BedScene
+from kncal.scene.model import BedModel, Model
 from kncal.scene.scene import Particle, Vector
 
 DECK, SCRIPT, DATA, RESTART = "in.liggghts", "Allrun", "particles.data", "particles.restart"
@@ -125,7 +122,7 @@ def scene_deck(model: Model, linear_style: str) -> Deck:
     scene, species = model.scene, model.species
     check_model(model)
     check_start(scene)
-    needs, particles = decide(scene), scene.particles
+    needs, particles = model.needs, scene.particles
     margin = 2.0 * max(p.radius for p in particles)
     sides = [[p.position[axis] for p in particles] for axis in range(3)]
     x_side, y_side, z_side = ((min(side) - margin, max(side) + margin) for side in sides)
@@ -145,7 +142,7 @@ def scene_deck(model: Model, linear_style: str) -> Deck:
             for bodies in species.members
             for body in bodies[:1]
         ],
-        contacts=model.by_species,
+        contacts=model.contacts,
         unmet=model.unmet,
         tangential=needs.uses("tangential"),
         walls=[DeckWall(name=w.name, kind=index[w.name], axis=w.axis, position=w.position) for w in scene.walls],
@@ -178,7 +175,7 @@ def bed_deck(model: BedModel, positions: Array | None = None, velocities: Array 
     """
     scene, column, particles = model.scene, model.scene.column, model.scene.particles
     check_bed(model)
-    d, number_of = particles.diameter, {(PARTICLES, PARTICLES): (0, 0), (PARTICLES, WALLS): (0, 1)}
+    d = particles.diameter
     places = [("floor", "z", 0.0), ("lid", "z", column.height), ("left", "x", 0.0), ("right", "x", column.width)]
     places += [("front", "y", 0.0), ("back", "y", column.depth)] if column.front_back == "walls" else []
     periodic = "y" if column.front_back == "periodic" else ""
@@ -199,7 +196,7 @@ def bed_deck(model: BedModel, positions: Array | None = None, velocities: Array 
             AtomType(name=PARTICLES, material=particles.material, radius=0.5 * d),
             AtomType(name=WALLS, material=column.wall_material, is_wall=True),
         ],
-        contacts={number_of[names]: contact for names, contact in model.contacts.items()},
+        contacts=model.contacts,
         walls=[DeckWall(name=name, kind=1, axis=axis, position=at) for name, axis, at in places],
         box=(x_side, y_side, z_side),
         periodic=periodic,

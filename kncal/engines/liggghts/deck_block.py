@@ -14,11 +14,9 @@ from kncal.engines.liggghts.deck_checks import expect
 from kncal.engines.liggghts.deck_tables import STYLES, AtomType, contact_context
 from kncal.physics.matrix import PairMatrix
 from kncal.physics.timestep import usual_steps
-from kncal.scene.bed_planning import PARTICLES, WALLS, bed_pairs
 from kncal.scene.bed_scene import BedScene
-from kncal.scene.load import bottom_load
 from kncal.scene.model import PairContact
-from kncal.scene.pair_contact import PairNumbers, Rest, numbers_of, pair_contact
+from kncal.scene.pair_contact import PairNumbers, Rest, pair_contact
 from kncal.scene.plan import contact_of, first_impact_speed
 from kncal.scene.scene import ContactChoice, Particle, Scene
 from kncal.scene.species import species_of
@@ -126,11 +124,11 @@ def case_block(scene: Scene | BedScene, style: str = "hooke/stiffness", steps_pe
         As `liggghts_block`.
     """
     kind = STYLES[one_of("style", style, STYLES)]
-    types, contacts = _bed_contacts(scene, kind) if isinstance(scene, BedScene) else _scene_contacts(scene, kind)
+    types, contacts = _scene_contacts(scene, kind)
     return liggghts_block(types, contacts, style, steps_per_contact)
 
 
-def _scene_contacts(scene: Scene, kind: str) -> tuple[list[AtomType], Contacts]:
+def _scene_contacts(scene: Scene | BedScene, kind: str) -> tuple[list[AtomType], Contacts]:
     species = species_of(scene)
     bodies = [alike[0] for alike in species.members]
     types = [
@@ -149,23 +147,4 @@ def _scene_contacts(scene: Scene, kind: str) -> tuple[list[AtomType], Contacts]:
         except (CaseFileError, ValidityError):
             if species.meetings(which):  # else nobody asked for it, and the block says that it lacks it
                 raise
-    return types, contacts
-
-
-def _bed_contacts(scene: BedScene, kind: str) -> tuple[list[AtomType], Contacts]:
-    material, wall = scene.particles.material, scene.column.wall_material
-    known = {PARTICLES: material.name, WALLS: "rigid" if wall is None else wall.name}
-    types = [
-        AtomType(name=PARTICLES, material=material, radius=0.5 * scene.particles.diameter),
-        AtomType(name=WALLS, material=wall, is_wall=True),
-    ]
-    rest = Rest(0.0, bottom_load(scene))
-    contacts = {}
-    for (a, b), both in bed_pairs(scene).items():
-        numbers = numbers_of(scene.contact, scene.contact.exception((a, known[a]), (b, known[b])))
-        if numbers.v_0 is None and numbers.k_n is None:
-            raise CaseFileError(
-                f"{scene.name}: contact of {a} and {b}: expected contact.v_0 [m/s] or contact.k_n [N/m]"
-            )
-        contacts[a, b] = pair_contact(scene.contact, both, numbers, kind, rest, scene=scene.name, names=f"{a} and {b}")
     return types, contacts

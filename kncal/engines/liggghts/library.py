@@ -37,8 +37,8 @@ from kncal.engines.liggghts.deck_checks import expect
 from kncal.engines.liggghts.impacts import Side, speed_edges
 from kncal.engines.liggghts.library_child import LIBRARY, MAX_MESSAGE, SAVED_FORCES, Shared, histogram_edges
 from kncal.record.steps import DemStep
-from kncal.scene.bed_model import BedModel
 from kncal.scene.bed_scene import BedScene
+from kncal.scene.model import BedModel
 
 LOG = "log.liggghts"
 #: What `LiggghtsDem.save` writes.

@@ -65,7 +65,7 @@ def impacts(run: Runner, probe: Probe, steps: Iterable[float]) -> list[Outcome]:
 def accuracy_edges(given: Ingredients, kind: str, e_n: float, liggghts: Runner | None = None) -> list[AccuracyEdge]:
     """Return the accuracy edges of one contact, by the builtin engine, each confirmed by LIGGGHTS if there is it."""
     probe = impact_on_wall(given, kind, e_n)
-    (contact,) = {c.law: c for (_, other), c in probe.model.contacts.items() if other == "floor"}.values()
+    (contact,) = {c.law: c for (_, other), c in probe.model.named.items() if other == "floor"}.values()
     found = impacts(run_builtin, probe, (contact.t_c / n for n in NUMBERS))
     measured = {n: _error(outcome) for n, outcome in zip(NUMBERS, found, strict=True)}
     predicted = {n: _predicted(contact, n) for n in NUMBERS}

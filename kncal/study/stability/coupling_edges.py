@@ -1,6 +1,6 @@
 """Edges of the coupled algorithm, by short runs of a reduced bed: gas step, coupling interval, size of the gas cells.
 
-The runs go past the limits of `kncal.scene.bed_limits` on purpose: they say what happens there, and how far the limits
+The runs go past the limits of `kncal.scene.limits` on purpose: they say what happens there, and how far the limits
 are from it. Each scan changes one thing; its first run, the finest, is what the others are compared with.
 """
 
@@ -25,9 +25,10 @@ from kncal.physics.fluidization import relaxation_time
 from kncal.record.series import BedSeries, read_series
 from kncal.runs.solving import start_positions
 from kncal.runs.workflow import require_completed
-from kncal.scene.bed_limits import EPS_SETTLED, check_bed, largest_superficial, settled_height
-from kncal.scene.bed_planning import plan_bed
 from kncal.scene.bed_scene import BedScene
+from kncal.scene.limits import check
+from kncal.scene.load import EPS_SETTLED, largest_superficial, settled_height
+from kncal.scene.plan import plan
 
 #: Particles of a reduced bed, its gas cells in x and y, and its simulated time [s].
 COUNT, CELLS, END_TIME = 600, (3, 2), 0.05
@@ -52,7 +53,7 @@ class BedPoint:
     edge : name of the scan
     value : Courant number, coupling over relaxation time, or cell edge over diameter [-]
     setting, unit : what was set
-    level : what `kncal.scene.bed_limits` says of it: "ok", "warn: codes", "refuse: codes"
+    level : what `kncal.scene.limits` says of it: "ok", "warn: codes", "refuse: codes"
     outcome : "right", "off", "energy-gain", or the failure of the run
     evidence : the numbers in words; numbers: means of p_in [Pa] and drag_z [N] in the later half,
         largest kinetic_energy [J], solids_error and courant_max (see `kncal.record.series`)
@@ -200,7 +201,7 @@ def _scans(
 
 
 def _level(scene: BedScene, codes: Sequence[str]) -> str:
-    findings = [f for f in check_bed(plan_bed(scene, ("linear",))["linear"]) if f.code in codes]
+    findings = [f for f in check(plan(scene, ("linear",))["linear"]) if f.code in codes]
     if not findings:
         return "ok"
     return f"{findings[0].level}: {', '.join(f.code for f in findings if f.level == findings[0].level)}"
@@ -218,7 +219,7 @@ def _run(scene: BedScene, positions: Array, folder: Path, transport: str) -> tup
 
     A run that ended, of the same input, is not run again: its folder's name is a hash of it.
     """
-    model = plan_bed(scene, ("linear",))["linear"]
+    model = plan(scene, ("linear",))["linear"]
     digest = hashlib.sha256(repr(model).encode() + positions.tobytes()).hexdigest()
     there = folder.with_name(f"{folder.name}-{digest[:12]}")
     record = there / "ended.json"

@@ -44,7 +44,7 @@ def touching(model: Model) -> list[Touching]:
     index = {p.name: i for i, p in enumerate(model.scene.particles)}
     found = []
     for a, b in model.scene.body_pairs():
-        c = model.contacts[a.name, b.name]
+        c = model.between(a.name, b.name)
         if isinstance(b, Wall):
             axis = AXES.index(b.axis)
             n = np.zeros(3)

@@ -113,7 +113,7 @@ def _speed(probe: Probe) -> float:
 
 def _soft_and_fast(given: Ingredients, *, quick: bool) -> list[Cell]:
     """The linear contact at the case's steps per contact, over stiffness and speed."""
-    first = impact_on_wall(given, "linear", given.contact.e_n).model.contacts["s0", "floor"]
+    first = impact_on_wall(given, "linear", given.contact.e_n).model.between("s0", "floor")
     cells = []
     for soft in SOFTER[::2] if quick else SOFTER:
         for fast in FASTER[1::2] if quick else FASTER:
@@ -122,7 +122,7 @@ def _soft_and_fast(given: Ingredients, *, quick: bool) -> list[Cell]:
             dt = None
             try:
                 probe = impact_on_wall(replace(given, contact=contact), "linear", contact.e_n)
-                dt = probe.model.contacts["s0", "floor"].t_c / given.steps_per_contact
+                dt = probe.model.between("s0", "floor").t_c / given.steps_per_contact
                 (outcome,) = impacts(run_builtin, probe, [dt])
             except KncalError as error:
                 outcome = outcome_of_error(error)

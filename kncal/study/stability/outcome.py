@@ -155,7 +155,7 @@ def _restitution(model: Model, seen: Observations) -> dict[str, float]:
     event = max(single, key=lambda e: abs(float(e.e_n or 0.0) / _exact_e_n(model, e.pair) - 1.0))
     e_n, exact = float(event.e_n or 0.0), _exact_e_n(model, event.pair)
     numbers = {"e_n": e_n, "e_n_error": e_n / exact - 1.0}
-    c = model.contacts[event.pair]
+    c = model.between(*event.pair)
     steps = c.t_c / model.dt
     try:
         numbers["e_n_predicted"] = predict_error(c.law, c.e_n, max(steps, 3.0), c.end).worst["e_n"]
@@ -167,7 +167,7 @@ def _restitution(model: Model, seen: Observations) -> dict[str, float]:
 
 
 def _exact_e_n(model: Model, pair: tuple[str, str]) -> float:
-    return model.contacts[pair].e_n
+    return model.between(*pair).e_n
 
 
 def _momentum(model: Model, trajectory: Trajectory) -> float:

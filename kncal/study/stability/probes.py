@@ -11,7 +11,7 @@ Friction is left out of all of them: its springs would add to the stiffness that
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -20,8 +20,7 @@ import numpy as np
 from kncal.core.checks import Array
 from kncal.core.errors import InputError
 from kncal.physics.material import Material
-from kncal.scene.bed_planning import PARTICLES, WALLS
-from kncal.scene.bed_scene import BedScene
+from kncal.scene.bed_scene import PARTICLES, WALLS, BedScene
 from kncal.scene.model import Model, PairContact
 from kncal.scene.plan import first_impact_speed, plan
 from kncal.scene.scene import ContactChoice, PairChoice, Particle, RunControl, Scene, Vector, Wall
@@ -169,7 +168,7 @@ class Probe:
 
 def at_step(model: Model, dt: float, n_steps: int) -> Model:
     """Return ``model`` with another time step [s] and number of steps; every step in contact leaves a frame."""
-    flight = max(round(min(c.t_c for c in model.contacts.values()) / dt), 1)
+    flight = max(round(model.shortest / dt), 1)
     return replace(model, dt=dt, t_end=dt * n_steps, n_steps=n_steps, record_every=1, flight_every=flight)
 
 
@@ -210,7 +209,7 @@ def impact_of_pair(given: Ingredients, kind: str, e_n: float, size_ratio: float 
         large = replace(_sphere(given, "large", (big, 0.0, 0.0)), radius=big)
         return _scene(given, f"impact-pair-{size_ratio:g}-{kind}", e_n, (small, large), ())
 
-    t_c = _numbers(scene(0.0), kind)["small", "large"].t_c
+    t_c = plan(scene(0.0), (kind,))[kind].between("small", "large").t_c
     return _of(scene(0.37 * v * t_c), kind, e_n, 1, pressed=False, size_ratio=size_ratio)
 
 
@@ -259,7 +258,7 @@ def _unequal_pressed(given: Ingredients, kind: str, e_n: float, size_ratio: floa
         name = f"pressed-pair-{size_ratio:g}-{kind}"
         return _scene(given, name, e_n, (small, replace(large, radius=big)), walls)
 
-    contacts = _numbers(scene(0.0, 0.0, 0.0, 0.0), kind)
+    contacts = plan(scene(0.0, 0.0, 0.0, 0.0), (kind,))[kind].named
     middle, delta = contacts["small", "large"], 2.0 * R * PRESSED_SHARE
     force = middle.k * delta**middle.n
     left, right = (contacts[names] for names in (("small", "x-low"), ("large", "x-high")))
@@ -319,7 +318,8 @@ def _contact(given: Ingredients, kind: str, e_n: float, *, wall: bool) -> PairCo
     R = given.radius
     balls = tuple(_sphere(given, f"s{i}", (3.0 * R * i, 0.0, 2.0 * R)) for i in range(2))
     floor = Wall(name="floor", axis="z", position=0.0, material=given.wall)
-    return _numbers(_scene(given, "contact", e_n, balls, (floor,)), kind)["s0", "floor" if wall else "s1"]
+    scene = _scene(given, "contact", e_n, balls, (floor,))
+    return plan(scene, (kind,))[kind].between("s0", "floor" if wall else "s1")
 
 
 def _depth(contact: PairContact) -> float:
@@ -353,10 +353,6 @@ def _scene(
         run=RunControl(dt=1.0, until_time=1.0),
         overrules={"tangential": False, "rolling": False},
     )
-
-
-def _numbers(scene: Scene, kind: str) -> Mapping[tuple[str, str], PairContact]:
-    return plan(scene, (kind,))[kind].contacts
 
 
 def _of(scene: Scene, kind: str, e_n: float, contacts: int, *, pressed: bool, size_ratio: float = 1.0) -> Probe:

@@ -17,10 +17,10 @@ from kncal.core.errors import CaseFileError, InputError, InterruptedRunError, Kn
 from kncal.core.mpi import check_fit
 from kncal.observe.bed_compare import ObservedRun, observed
 from kncal.observe.softness import model_signs, signs
-from kncal.scene.bed_planning import plan_bed
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import load_case
 from kncal.scene.case_text import read_case
+from kncal.scene.plan import plan
 from kncal.study.trade.base import Candidate, Tell, Trade, TradeOptions, TradePoint
 from kncal.study.trade.bed_errors import Judged, bed_errors, bed_splits
 from kncal.study.trade.bed_points import bed_contacts, reference_steps, shared_case
@@ -263,7 +263,7 @@ class _Session:
         scene = load_case(self.case, overrides=candidate.variant.overrides)
         if not isinstance(scene, BedScene):
             raise CaseFileError(f"{self.case}: expected a bed")
-        model = plan_bed(scene, (candidate.model,))[candidate.model]
+        model = plan(scene, (candidate.model,))[candidate.model]
         folder = self.folder / "runs" / candidate.name
         return Track(candidate=candidate, model=model, folder=folder, key=key_of(self.text, candidate))
 

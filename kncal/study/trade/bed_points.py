@@ -12,14 +12,12 @@ from kncal.physics.fluidization import minimum_fluidization_velocity
 from kncal.physics.laws import LAWS
 from kncal.physics.methods import METHODS
 from kncal.physics.timestep import predict_error
-from kncal.scene.bed_model import BedModel
-from kncal.scene.bed_planning import PARTICLES, WALLS, plan_bed
-from kncal.scene.bed_scene import BedScene
+from kncal.scene.bed_scene import PARTICLES, BedScene
 from kncal.scene.case_file import CASE, dump_case, load_case
 from kncal.scene.case_text import toml_value
 from kncal.scene.load import bottom_overlaps
-from kncal.scene.model import PairContact
-from kncal.scene.pair_contact import numbers_of
+from kncal.scene.model import BedModel, PairContact
+from kncal.scene.plan import pair_choice, plan
 from kncal.study.trade.base import TradeOptions
 from kncal.study.trade.points import Contact, merged, own_name, share_name, softer_materials
 from kncal.study.variants import removing
@@ -66,9 +64,9 @@ def fluidised(scene: BedScene) -> bool:
 
 def settling_spring(scene: BedScene) -> float:
     """Return the stiffness that the bed settles with [N/m]: its own, or a softer one if that is too stiff for it."""
-    model = plan_bed(scene, ("linear",))["linear"]
-    own = model.contacts[PARTICLES, PARTICLES].k
-    overlap = bottom_overlaps(model).get((PARTICLES, PARTICLES), 0.0)
+    model = plan(scene, ("linear",))["linear"]
+    own = model.between(PARTICLES, PARTICLES).k
+    overlap = bottom_overlaps(model).get((0, 0), 0.0)
     wanted = START_OVERLAP * scene.particles.diameter
     return own if overlap <= 0.0 or wanted < STIFF * overlap else own * overlap / wanted
 
@@ -105,7 +103,7 @@ def unsoftened(case: str | Path, options: TradeOptions) -> BedModel:
     scene = load_case(case, overrides=options.reference)
     if not isinstance(scene, BedScene):
         raise CaseFileError(f"{case}: a case of single contacts; expected that of a bed")
-    return plan_bed(scene, ("linear",))["linear"]
+    return plan(scene, ("linear",))["linear"]
 
 
 def bed_contacts(case: str | Path, options: TradeOptions) -> tuple[Contact, dict[str, list[Contact]]]:
@@ -168,14 +166,11 @@ def bed_contacts(case: str | Path, options: TradeOptions) -> tuple[Contact, dict
 def _softened(model: BedModel, factor: float) -> tuple[str, ...]:
     """Override k_n of both pairs by ``factor`` times the planned one; everything else of a pair stays."""
     scene = model.scene
-    names = {
-        PARTICLES: (PARTICLES, scene.particles.material.name),
-        WALLS: (WALLS, "rigid" if scene.column.wall_material is None else scene.column.wall_material.name),
-    }
     rows = []
-    for (a, b), contact in model.contacts.items():
-        numbers = numbers_of(scene.contact, scene.contact.exception(names[a], names[b]))
-        values = {"between": [a, b], "e_n": numbers.e_n, "friction": numbers.friction}
+    for pair, contact in model.contacts.items():
+        a, b = model.species.bodies(pair)
+        numbers = pair_choice(scene, a, b)
+        values = {"between": [a.name, b.name], "e_n": numbers.e_n, "friction": numbers.friction}
         values |= {} if numbers.v_0 is None else {"v_0": numbers.v_0}
         values |= {"k_n": factor * contact.k}
         rows.append("{" + ", ".join(f"{key} = {toml_value(value)}" for key, value in values.items()) + "}")
@@ -190,7 +185,7 @@ def _factor(case: str | Path, overrides: tuple[str, ...], base: PairContact | No
     """k_n of the shortest contact over that of the case's own method; None where it cannot be planned or has none."""
     try:
         scene = load_case(case, overrides=overrides)
-        contacts = plan_bed(scene, ("linear",))["linear"].contacts if isinstance(scene, BedScene) else {}
+        contacts = plan(scene, ("linear",))["linear"].contacts if isinstance(scene, BedScene) else {}
     except (CaseFileError, InputError):
         return None  # the run will be refused with the reason
     shortest = min(contacts.values(), key=lambda contact: contact.t_c, default=None)

@@ -8,7 +8,7 @@ import statistics
 from collections.abc import Iterator, Sequence
 
 from kncal.observe.softness import secant
-from kncal.scene.bed_limits import check_bed
+from kncal.scene.limits import check
 from kncal.scene.model import PairContact
 from kncal.study.trade.base import TradePoint
 from kncal.study.trade.bed_runs import STOPPED, WAITING, Track
@@ -32,8 +32,8 @@ def planned(track: Track) -> TradePoint:
 
 
 def refused_by(track: Track) -> str:
-    """Return why a limit of the bed refuses the run (see `kncal.scene.bed_limits`); empty if none does."""
-    return "; ".join(dict.fromkeys(f.message for f in check_bed(track.model) if f.level == "refuse"))
+    """Return why a limit of the bed refuses the run (see `kncal.scene.limits`); empty if none does."""
+    return "; ".join(dict.fromkeys(f.message for f in check(track.model) if f.level == "refuse"))
 
 
 def caveats(

@@ -35,10 +35,9 @@ from kncal.record.outcome import RunResult
 from kncal.record.series import read_series
 from kncal.runs.folder import read_model_folder, read_result
 from kncal.runs.records import RESULT
-from kncal.scene.bed_model import BedModel
-from kncal.scene.bed_planning import plan_bed
 from kncal.scene.bed_scene import BedScene
-from kncal.scene.model import KINDS
+from kncal.scene.model import KINDS, BedModel
+from kncal.scene.plan import plan
 from kncal.study import VariantRun, run_variants
 from kncal.study.trade.base import Candidate
 
@@ -255,7 +254,7 @@ def load_part(folder: Path) -> BedRunData:
     if not isinstance(scene, BedScene):
         raise ReadError(f"{folder}: the run of a single contact, expected that of a bed")
     series = read_series(folder / "series")
-    model = replace(plan_bed(scene, (kind,))[kind], couplings=len(series.t))
+    model = replace(plan(scene, (kind,))[kind], couplings=len(series.t))
     result: RunResult = read_result(folder)
     return BedRunData(model=model, result=result, series=series)
 

@@ -167,7 +167,7 @@ def softened(
     InputError
         If a case cannot have that many exceptions.
     """
-    wanted = {names: factor * contact.k for names, contact in unsoftened.contacts.items()}
+    wanted = {pair: factor * contact.k for pair, contact in unsoftened.contacts.items()}
     if len(set(wanted.values())) == 1:
         change = merged(stripped, (f"contact.k_n={next(iter(wanted.values()))!r}",))
     else:
@@ -176,7 +176,7 @@ def softened(
             numbers = pair_choice(scene, a, b)
             values = {"between": [a.name, b.name], "e_n": numbers.e_n, "friction": numbers.friction}
             values |= {} if numbers.v_0 is None else {"v_0": numbers.v_0}
-            values |= {"k_n": wanted[a.name, b.name]}
+            values |= {"k_n": wanted[unsoftened.species.pair_of((a.name, b.name))]}
             rows.append(", ".join(f"{key} = {toml_value(value)}" for key, value in values.items()))
         kept = [text for text in stripped if parse_override(text).path[:2] != ("contact", "pairs")]
         change = merged(kept, (f"contact.pairs=[{', '.join(f'{{{row}}}' for row in rows)}]",))

@@ -11,9 +11,8 @@ from dataclasses import replace
 
 from kncal.core.checks import one_of
 from kncal.physics.drag import DRAGS
-from kncal.scene.bed_needs import decide as decide_bed
 from kncal.scene.bed_scene import PARCELS, BedScene
-from kncal.scene.limits import FEWEST_FRAMES
+from kncal.scene.contact_limits import FEWEST_FRAMES
 from kncal.scene.needs import Needs, decide, untouched_walls
 from kncal.scene.scene import ContactChoice, Scene
 from kncal.study.trim.base import OFF, ON, OTHER, Part
@@ -79,7 +78,7 @@ def _of_contacts(scene: Scene, model: str) -> Iterator[Part]:
 
 
 def _of_bed(scene: BedScene, model: str) -> Iterator[Part]:
-    needs = decide_bed(scene)
+    needs = decide(scene)
     yield from _friction(scene.contact, needs, _frictions(scene.contact))
     yield _damping(scene.contact)
     yield _contact_model(model)

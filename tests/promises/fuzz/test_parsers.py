@@ -27,7 +27,6 @@ from kncal.record.facts import BedFacts
 from kncal.record.series import read_series
 from kncal.runs.folder import read_manifest, read_result
 from kncal.scene.bed_case_file import parse_bed
-from kncal.scene.bed_planning import plan_bed
 from kncal.scene.case_file import load_case, shipped_cases
 from kncal.scene.case_text import find_case
 from kncal.scene.plan import plan
@@ -138,7 +137,7 @@ def test_numbers_of_cases_up_to_the_plan(name: str, changes: list[tuple[int, flo
 
     def run() -> None:
         if "column" in tables:
-            plan_bed(parse_bed(text, name="fuzz", tables=tables))
+            plan(parse_bed(text, name="fuzz", tables=tables))
         else:
             from kncal.scene.case_file import parse_case
 
