@@ -142,21 +142,6 @@ def drag_per_slip(
     return np.asarray(np.where(eps_g < EPS_DILUTE, dense, dilute) * viscosity / (eps_g * diameter**2))
 
 
-def gidaspow_beta(
-    eps_g: ArrayLike, slip: ArrayLike, diameter: ArrayLike, density_gas: ArrayLike, viscosity: ArrayLike
-) -> FloatOrArray:
-    r"""Return the momentum exchange coefficient beta per volume of bed [kg/(m³ s)] in its common form (model A).
-
-    .. math:: \beta = 150 \frac{\mu (1-\varepsilon)^2}{\varepsilon d^2} + 1.75 \frac{\rho_g (1-\varepsilon) |u|}{d}
-              \ (\varepsilon < 0.8), \qquad
-              \frac{3}{4} C_d \frac{\rho_g \varepsilon (1-\varepsilon) |u|}{d} \varepsilon^{-2.65} \text{ else}
-
-    It is ``eps_g (1 - eps_g)`` times `particle_drag`; sources there.
-    """
-    eps = _voidage(eps_g)
-    return plain(np.asarray(eps * (1.0 - eps) * particle_drag(eps, slip, diameter, density_gas, viscosity)))
-
-
 def relaxation_time(
     density: ArrayLike,
     diameter: ArrayLike,
