@@ -89,6 +89,7 @@ def test_finds_the_installed_liggghts(here):
     assert found.ok is (version == "3.8.0")
 
 
+@pytest.mark.solver
 @pytest.mark.skipif(not Path("/usr/bin/DPMFoam").exists(), reason="OpenFOAM is not installed")
 @pytest.mark.parametrize("given", [None, "/usr/share/openfoam"])
 def test_finds_openfoam_without_its_environment(monkeypatch, given):
@@ -101,6 +102,7 @@ def test_finds_openfoam_without_its_environment(monkeypatch, given):
     assert found.found.startswith("1912 (patch=")
 
 
+@pytest.mark.solver
 @pytest.mark.skipif(not Path("/usr/bin/DPMFoam").exists(), reason="OpenFOAM is not installed")
 def test_wrong_openfoam_folder_is_named(monkeypatch, tmp_path):
     monkeypatch.setenv("WM_PROJECT_DIR", str(tmp_path))

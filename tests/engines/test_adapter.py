@@ -25,6 +25,8 @@ from kncal.engines.dpmfoam.adapter_build import (
     unpack_headers,
 )
 
+pytestmark = pytest.mark.solver
+
 openfoam = needs_openfoam[1]
 apt = pytest.mark.skipif(shutil.which("apt-get") is None, reason="apt-get is not there")
 compiler = pytest.mark.skipif(shutil.which("g++") is None, reason="g++ is not installed")

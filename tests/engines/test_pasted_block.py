@@ -11,6 +11,8 @@ import pytest
 
 from kncal import Material, RenderError, calibrate, calibrate_matrix, matrix_block, predict_error, wall_pair
 
+pytestmark = pytest.mark.solver
+
 GLASS = Material(young=7e9, poisson=0.22, density=2500.0)
 STEEL = Material(young=2.1e11, poisson=0.3, density=7800.0)
 V, MU, SLIDE = 0.5, 0.1, 2.0  # impact speed, friction, tangential speed: far above what a sphere can stick at

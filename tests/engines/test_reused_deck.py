@@ -15,6 +15,8 @@ from kncal.physics.material import Material
 from kncal.scene.plan import plan
 from kncal.scene.scene import ContactChoice, PairChoice, Particle, RunControl, Scene, Wall
 
+pytestmark = pytest.mark.solver
+
 GLASS = Material(young=5e7, poisson=0.25, density=2500.0, name="glass")
 STEEL = Material(young=2e11, poisson=0.3, density=7800.0, name="steel")
 SMALL, SPEED, E_N, E_N_FLOOR = 1e-3, 1.0, 0.9, 0.6
