@@ -228,7 +228,6 @@ def calibrate(
     options = chosen.options(method_options)
     contact_law = LAWS.find(law)
     shape = common_shape(pair=pair, v_0=speed, e_n=restitution, **options)
-
     reference = dimensionless_impact(
         contact_law, np.ones_like(restitution) if contact_law.elastic else restitution, end
     )
