@@ -164,7 +164,7 @@ def sweep(
     if parquet:
         check_parquet()
     over, by, on = over or PointFlags(), by or RanksFlags(), on or ClusterFlags()
-    combined, scene = combine(over.groups()), load_case(case)
+    groups, scene = over.groups(), load_case(case)
     by.check(scene)
     settings = Settings(
         engine=by.engine,
@@ -178,6 +178,7 @@ def sweep(
     on.check(parquet=parquet)
     runner = on.runner(workers)
     folder = out or Path("runs") / f"{scene.name}_sweep"
+    combined = combine(groups)
     warnings: dict[str, dict[str, str]] = {}
 
     def warn(run: str, found: tuple[Finding, ...]) -> None:
