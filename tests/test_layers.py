@@ -14,7 +14,7 @@ FORBIDDEN = {("observe", "engines"), ("report", "engines"), ("study", "exchange"
 #: Imports that still point the wrong way; the list only gets shorter.
 TODAY = {
     ("observe.impact_speeds", "report.plots"),
-    ("observe.softness", "study.trade.base"),
+    ("observe.softness", "study.trade.trade"),
 }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from kncal.study import Variant
-from kncal.study.trade.base import Candidate, MetricError, Trade, TradeOptions, TradePoint
+from kncal.study.trade.trade import Candidate, MetricError, Trade, TradeOptions, TradePoint
 
 
 def error(metric, value, uncertainty=0.0):

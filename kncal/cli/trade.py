@@ -61,7 +61,7 @@ def trade(
     """
     from kncal.observe.tolerances import parse_tolerances
     from kncal.scene.bed_scene import BedScene
-    from kncal.study.trade.base import FACTORS, STEPS, TradeOptions
+    from kncal.study.trade.trade import FACTORS, STEPS, TradeOptions
     from kncal.study.trade.workflow import run_trade
 
     at, by = at or CaseFlags(), by or EngineFlags()

@@ -22,7 +22,7 @@ from kncal.scene.load import bottom_overlaps
 from kncal.scene.model import BedModel, Model, PairContact
 from kncal.scene.scene import Particle
 from kncal.scene.species import SpeciesPair
-from kncal.study.trade.base import Sign
+from kncal.study.trade.trade import Sign
 
 #: Speed over the speed of sound of a chain: at 0.1 densities vary by about 1 %.
 MACH_LIMIT = 0.1

@@ -20,7 +20,7 @@ from kncal.runs.records import RESULT
 from kncal.scene.model import KINDS
 from kncal.study.design import Settings, design_points, run_folder
 from kncal.study.execute import ThreadExecutor
-from kncal.study.states import failure_class
+from kncal.study.states import WAITING, failure_class
 from kncal.study.sweep import SweepProgress, run_sweep
 from kncal.study.variants import Variant
 
@@ -74,6 +74,7 @@ def run_variants(
     workers: int | None = None,
     timeout: float | None = None,
     on_progress: OnStudyProgress | None = None,
+    look: bool = False,
 ) -> dict[str, VariantRun]:
     """Run variants of a case, each ``rounds`` times, and return what became of them, by name in the order given.
 
@@ -88,6 +89,7 @@ def run_variants(
     engine : of single contacts; transport : of beds
     workers : runs at a time; default: one per core
     timeout : wall-clock limit of each run [s]
+    look : run nothing, only say what is there; a variant without a result is `WAITING`
 
     Raises
     ------
@@ -110,7 +112,7 @@ def run_variants(
             settings = Settings(engine=engine, models=(kind,), transport=transport, timeout=timeout)
             told = None if on_progress is None else partial(on_progress, number, rounds, kind)
             there = folder / f"round-{number}" / kind
-            for run in _round(case, ours, settings, there, workers, told):
+            for run in _round(case, ours, settings, there, workers, told, look=look):
                 found[run.variant.name] = _added(found.get(run.variant.name), run)
     return {name: found[name] for name in names}
 
@@ -122,25 +124,30 @@ def _round(
     folder: Path,
     workers: int | None,
     on_progress: Callable[[SweepProgress], None] | None,
+    *,
+    look: bool,
 ) -> list[VariantRun]:
-    """Run variants of one model once."""
+    """Run variants of one model once, or only look at what is there."""
     sweep, text, ids = design_points(case, [variant.point for variant in variants], settings, skip_bad=True)
     messages: Mapping[str, str] = {}
-    if sweep.runs:
+    if sweep.runs and not look:
         folder.parent.mkdir(parents=True, exist_ok=True)
         messages = run_sweep(sweep, text, folder, ThreadExecutor(workers), on_progress).messages
     reasons = iter(sweep.refused)  # in the order of the points
+    none = WAITING if look else "failed"
+
     return [
         VariantRun(variant=variant, status=REFUSED, failure="bad-input", message=next(reasons).message)
         if run is None
-        else _ended(variant, run_folder(folder, run) / variant.model, messages.get(run, ""))
+        else _ended(variant, run_folder(folder, run) / variant.model, none, messages.get(run, ""))
         for variant, run in zip(variants, ids, strict=True)
     ]
 
 
-def _ended(variant: Variant, folder: Path, message: str) -> VariantRun:
+def _ended(variant: Variant, folder: Path, status: str, message: str) -> VariantRun:
+    """Return how a run ended; ``status``: of one without a result."""
     if not (folder / RESULT).is_file():
-        return VariantRun(variant=variant, status="failed", failure="run-failed", message=message)
+        return VariantRun(variant=variant, status=status, failure="run-failed", message=message)
     result = read_result(folder)
     done = result.status == "completed"
     return VariantRun(

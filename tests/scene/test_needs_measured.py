@@ -16,6 +16,7 @@ from kncal.study import Variant, run_variants
 from kncal.study.trim.base import ON, Trim
 from kncal.study.trim.effect import resolution_of
 from kncal.study.trim.workflow import TrimOptions, trim
+from kncal.study.variants import changes_of
 
 pytestmark = pytest.mark.slow
 
@@ -54,7 +55,9 @@ def test_damping_that_the_rules_keep_has_an_effect(case: str, tmp_path: Path) ->
 def test_the_motion_stays_in_as_many_dimensions_as_the_rules_say(case: str, tmp_path: Path) -> None:
     """Displacements span a space of that rank; the engine computes three dimensions and knows nothing of it."""
     needs = decide(load_scene(case, overrides=[ROUGH]))
-    found = run_variants(case, [Variant(name="full", model="linear", overrides=(ROUGH,))], tmp_path, engine="builtin")
+    found = run_variants(
+        case, [Variant(name="full", model="linear", changes=changes_of([ROUGH]))], tmp_path, engine="builtin"
+    )
     folder = found["full"].folder
     assert folder is not None
     x = load_run(folder).trajectory.x
@@ -77,9 +80,7 @@ def test_a_wall_that_the_rules_call_out_of_reach_can_be_taken_away(tmp_path: Pat
 
 def test_half_the_step_changes_no_more_than_the_resolution(tmp_path: Path) -> None:
     """The measure itself: the error of a run is bounded by what halving its step moves."""
-    variants = [
-        Variant(name=f"n{n}", model="linear", overrides=(f"run.steps_per_contact={n}",)) for n in (50, 100, 400)
-    ]
+    variants = [Variant(name=f"n{n}", model="linear", changes={"run.steps_per_contact": n}) for n in (50, 100, 400)]
     runs = run_variants("oblique_impact", variants, tmp_path, engine="builtin")
     coarse, half, fine = (load_run(runs[v.name].folder) for v in variants)  # type: ignore[arg-type]
     bound = resolution_of(coarse, half)
@@ -113,7 +114,7 @@ def test_a_bed_of_one_particle_that_touches_nothing_needs_no_friction(tmp_path: 
     assert isinstance(scene, BedScene)
     assert not decide(scene).uses("tangential")
     variants = [
-        Variant(name=name, model="linear", overrides=(*overrides, *more))
+        Variant(name=name, model="linear", changes=changes_of([*overrides, *more]))
         for name, more in (("left-out", ()), ("forced", ("needs.tangential=true",)))
     ]
     runs = run_variants("terminal_velocity", variants, tmp_path)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from compared_beds import SCENE, run_data
+from compared_beds import run_data
 
 from kncal.engines.settle import to_settle
 from kncal.observe.bed_compare import compare_beds, observed
@@ -19,20 +18,14 @@ from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import dump_case, load_case
 from kncal.scene.load import bottom_overlaps
 from kncal.study import Variant
-from kncal.study.trade import bed, bed_runs
-from kncal.study.trade.base import Candidate, TradeOptions
-from kncal.study.trade.bed import trade_bed
-from kncal.study.trade.bed_errors import Judged, bed_errors, bed_splits
-from kncal.study.trade.bed_points import (
-    START_OVERLAP,
-    STIFF,
-    bed_contacts,
-    fluidised,
-    reference_steps,
-    settling_spring,
-    shared_case,
-)
-from kncal.study.trade.bed_runs import Part, Track, load_part, measured_rates
+from kncal.study.trade import run as loop
+from kncal.study.trade import runs as bed_runs
+from kncal.study.trade.candidates import START_OVERLAP, STIFF, contacts, fluidised, settling_spring, shared_case
+from kncal.study.trade.errors import bed_errors, bed_splits
+from kncal.study.trade.reference import reference_steps
+from kncal.study.trade.run import trade_bed
+from kncal.study.trade.runs import BedRuns, load_part
+from kncal.study.trade.trade import Candidate, TradeOptions
 
 pytestmark = pytest.mark.slow
 
@@ -62,8 +55,8 @@ def chain():
     }
 
 
-def judged(name: str, chain, of: Candidate) -> Judged:
-    return Judged(candidate=of, run=chain[name], errors=bed_errors(chain[name], chain["reference"], {}))
+def judged(name: str, chain, of: Candidate):
+    return of, chain[name], bed_errors(chain[name], chain["reference"], {})
 
 
 def test_the_split_finds_each_part_and_leaves_nothing(chain):
@@ -73,32 +66,29 @@ def test_the_split_finds_each_part_and_leaves_nothing(chain):
         judged("coarse", chain, candidate("softened", 0.1, 10.0)),
     ]
     splits = bed_splits(points, chain["reference"], 50.0)
-    split = next(s for s in splits[points[2].candidate.name] if s.metric == Z)
+    split = next(s for s in splits[points[2][0].name] if s.metric == Z)
     for part, known in ((split.discretisation, 0.20), (split.softness, 0.10), (split.model, 0.05)):
         # intervals of 95 %: twice the width is missed by one in ten thousand
         assert abs(part.value - known) <= 2.0 * part.uncertainty
         assert part.uncertainty < 0.05
     assert split.interaction == pytest.approx(0.0, abs=1e-12)
     assert split.missing == ()
-    fine = next(s for s in splits[points[1].candidate.name] if s.metric == Z)
+    fine = next(s for s in splits[points[1][0].name] if s.metric == Z)
     assert fine.discretisation is None
     assert fine.total.value == pytest.approx(fine.softness.value + fine.model.value, abs=1e-12)
 
 
 def test_a_part_within_its_interval_is_not_resolved(chain):
-    same = Judged(
-        candidate=candidate("mean_overlap", 1.0, 50.0),
-        run=(run := mean_height("linear", 9, 0.0)),
-        errors=bed_errors(run, chain["reference"], {}),
-    )
-    (split,) = (s for s in bed_splits([same], chain["reference"], 50.0)[same.candidate.name] if s.metric == Z)
+    run, of = mean_height("linear", 9, 0.0), candidate("mean_overlap", 1.0, 50.0)
+    same = of, run, bed_errors(run, chain["reference"], {})
+    (split,) = (s for s in bed_splits([same], chain["reference"], 50.0)[of.name] if s.metric == Z)
     assert not split.model.resolved
     assert split.model.value == split.total.value
 
 
 def test_parts_that_were_not_run_are_missing(chain):
     coarse = judged("coarse", chain, candidate("softened", 0.1, 10.0))
-    (split,) = (s for s in bed_splits([coarse], chain["reference"], 50.0)[coarse.candidate.name] if s.metric == Z)
+    (split,) = (s for s in bed_splits([coarse], chain["reference"], 50.0)[coarse[0].name] if s.metric == Z)
     assert (split.discretisation, split.softness, split.model, split.interaction) == (None, None, None, None)
     assert len(split.missing) == 3
 
@@ -153,19 +143,19 @@ def test_every_pair_is_softened_by_the_factor_and_keeps_its_restitution(tmp_path
 
     case = written(mini(0.1), tmp_path)
     options = TradeOptions(reference=("materials.soft.young=5e8",), factors=(1.0, 0.01))
-    top, groups = bed_contacts(case, options)
+    top, tried = contacts(case, options)
 
     def planned(contact, kind):
         return plan(load_case(case, overrides=contact.at(20.0).variant.overrides), (kind,))[kind]
 
-    hard, soft = (planned(contact, "linear") for contact in groups["softened"])
+    hard, soft = (planned(contact, "linear") for contact in tried[:2])
     for pair, contact in hard.contacts.items():
         assert soft.contacts[pair].k == pytest.approx(0.01 * contact.k, rel=1e-12)
         assert soft.contacts[pair].t_c == pytest.approx(10.0 * contact.t_c, rel=1e-12)
         assert soft.contacts[pair].e_n == contact.e_n
         # eta_n = 2 zeta sqrt(k m): softer by a hundred is damped by a tenth
         assert soft.contacts[pair].c == pytest.approx(0.1 * contact.c, rel=1e-12)
-    real, reduced = planned(top, "hertz"), planned(groups["reduced"][1], "hertz")
+    real, reduced = planned(top, "hertz"), planned(tried[3], "hertz")
     for pair, contact in real.contacts.items():
         assert reduced.contacts[pair].k == pytest.approx(0.01 * contact.k, rel=1e-12)
     # the same number of steps per contact for every model
@@ -186,7 +176,7 @@ def test_a_bed_that_gas_moves_starts_loose_and_one_at_rest_does_not(tmp_path):
     moving = mini(0.1)
     moving = replace(moving, particles=replace(moving.particles, packing="settled"))
     assert fluidised(moving)
-    path, notes = shared_case("unused", moving, tmp_path)
+    path, notes = shared_case(moving, tmp_path)
     assert load_case(path).particles.packing == "lattice"
     assert any("loose lattice" in note for note in notes)
     still = replace(moving, gas=replace(moving.gas, U_0=0.1))  # U_mf of such particles is some tenths of a metre per s
@@ -223,10 +213,10 @@ def test_all_candidates_settle_alike_however_many_particles_there_are(tmp_path, 
         scene, column=column, particles=replace(scene.particles, count=count, packing="settled", frozen=False)
     )
     case = written(replace(scene, gas=None), tmp_path)
-    path, _ = shared_case(case, load_case(case), tmp_path / "trade")
-    top, groups = bed_contacts(case, TradeOptions(reference=(), factors=(1.0, 0.1)))
+    path, _ = shared_case(load_case(case), tmp_path / "trade")
+    top, tried = contacts(case, TradeOptions(factors=(1.0, 0.1)))
     keys = set()
-    for contact in (top, *(c for group in groups.values() for c in group)):
+    for contact in (top, *tried):
         for steps in (10.0, 50.0):
             bed_scene = load_case(path, overrides=contact.at(steps).variant.overrides)
             assert bed_scene.particles.count == count
@@ -234,81 +224,23 @@ def test_all_candidates_settle_alike_however_many_particles_there_are(tmp_path, 
     assert len(keys) == 1
 
 
-# --- parts --------------------------------------------------------------------
+# --- runs in part -------------------------------------------------------------
 
 
-def track(parts: list[tuple[int, float]], couplings: int = 1000) -> Track:
-    from kncal.scene.plan import plan
-
-    model = replace(plan(SCENE, ("linear",))["linear"], couplings=couplings)
-    found = Track(candidate=candidate("softened", 0.1, 10.0), model=model, folder=Path("nowhere"), key="")
-    first = 0
-    for last, cpu in parts:
-        found.parts.append(Part(first=first, last=last, dem=cpu, gas=0.0, exchange=0.0, wall=cpu, load=0.0))
-        first = last
-    return found
+def ran(*spans: tuple[int, float], couplings: int = 1000) -> BedRuns:
+    return BedRuns(case="nowhere", folder=Path("nowhere"), spans={"run": list(spans)}, couplings={"run": couplings})
 
 
 def test_cpu_time_is_extrapolated_from_what_followed_the_start_up():
     # 0.1 s a coupling at the start, 0.2 s later
-    run = track([(100, 10.0), (300, 40.0), (500, 40.0)])
-    assert run.whole() == pytest.approx((200.0, 200.0))
-    assert run.held() == pytest.approx(2.0)  # what followed took twice what the first part predicted
-    assert track([(100, 10.0)]).whole() == pytest.approx((100.0,))
-    assert track([(100, 10.0)]).held() is None
-    assert track([(1000, 77.0)]).whole() == (77.0,)  # completed at once: measured
-    assert run.done == pytest.approx(500 * run.model.coupling)
-
-
-GOOD = {"first": 0, "last": 100, "dem": 1.0, "gas": 0.0, "exchange": 0.0, "wall": 1.0, "load": 0.0}
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {},
-        {"parts": [GOOD | {"last": 10**9}]},  # more couplings than the run has
-        {"parts": [GOOD | {"last": True}]},
-        {"parts": [GOOD | {"dem": -1.0}]},
-        {"parts": [GOOD | {"first": 50}]},
-        {"parts": [GOOD | {"last": 0}]},
-        {"parts": [GOOD, GOOD]},
-        {"parts": 5},
-        {"status": None},
-        {"run": "../../elsewhere"},
-    ],
-)
-def test_parts_that_kncal_would_not_write_are_not_taken_up_and_stop_nothing(tmp_path, change):
-    found = replace(track([]), folder=tmp_path)
-    (tmp_path / "run").mkdir()
-    (tmp_path / "run" / "result.json").write_text("{}")
-    record = {"key": "", "status": "timed_out", "run": "run", "parts": [GOOD]}
-    (tmp_path / "parts.json").write_text(json.dumps(record | change))
-    found.take_up()
-    assert found.couplings == (0 if change else 100)
-    assert found.status == ("waiting" if change else "timed_out")
-
-
-def test_rates_are_found_from_parts_and_predict_other_steps():
-    """Parts made with known costs per coupling and per particle-step give these back, and the cost of a third run."""
-    from kncal.scene.plan import plan
-
-    count, a, b, gas = SCENE.particles.count, 5e-3, 2e-7, 3e-3
-    tracks = []
-    for steps, number in ((10, 200), (400, 50)):
-        model = replace(plan(SCENE, ("linear",))["linear"], steps_per_coupling=steps)
-        dem = number * (a + b * steps * count)
-        part = Part(first=0, last=number, dem=dem, gas=gas * number, exchange=0.0, wall=2.0 * dem, load=0.0)
-        of = candidate("softened", 0.1, float(steps))
-        tracks.append(Track(candidate=of, model=model, folder=Path("nowhere"), key="", parts=[part]))
-    rates = measured_rates(tracks)
-    assert rates.step["linear"] == pytest.approx(b)
-    assert rates.coupling == pytest.approx(a + gas)
-    third = replace(tracks[0].model, steps_per_coupling=100)
-    assert rates.predict(third) == pytest.approx((a + gas + 100 * b * count) / third.coupling)
-    assert measured_rates([]) is None
-    one = measured_rates(tracks[:1])
-    assert one.predict(tracks[0].model) == pytest.approx(tracks[0].cpu / tracks[0].done)
+    run = ran((100, 10.0), (300, 50.0), (500, 90.0))
+    assert run.whole("run") == pytest.approx((200.0, 200.0))
+    assert run.rates("run") == pytest.approx((0.1, 0.2))
+    assert run.share("run") == pytest.approx(0.5)
+    assert ran((100, 10.0)).whole("run") == pytest.approx((100.0,))
+    assert ran((100, 10.0)).rates("run") == ()
+    assert ran((1000, 77.0)).whole("run") == (77.0,)  # completed: measured
+    assert ran((100, 10.0), (1000, 77.0)).whole("run") == (77.0,)
 
 
 # --- for real -----------------------------------------------------------------
@@ -316,6 +248,13 @@ def test_rates_are_found_from_parts_and_predict_other_steps():
 OPTIONS = TradeOptions(
     steps=(10.0,), factors=(1.0, 0.1, 1e-4), overlaps=(), tolerances={"pressure_drop": 0.2, "z_mean": 0.1}, workers=2
 )
+
+
+def folders_of(trade: Path, *points):
+    """The run folders of points: asked for without running anything."""
+    runs = BedRuns(case=next((trade / "start").iterdir()), folder=trade / "runs")
+    runs.run([point.candidate for point in points], look=True)
+    return [runs.ended[point.candidate.name].folder for point in points]
 
 
 @pytest.mark.solver
@@ -338,9 +277,7 @@ def test_a_small_bed_is_traded_to_its_end(tmp_path):
     assert gone.cpu_seconds == ()
     assert gone.message
     # the same numbers as a comparison of the same two run folders
-    folders = {name: next((tmp_path / "trade" / "runs" / name).glob("round-1/*/runs/*/*/result.json")).parent
-               for name in ("reference-N10", "linear-mean_overlap-N10")}  # fmt: skip
-    linear, hertz = (load_bed_run(folders[n]) for n in ("linear-mean_overlap-N10", "reference-N10"))
+    linear, hertz = (load_bed_run(folder) for folder in folders_of(tmp_path / "trade", hard, reference))
     row = compare_beds(linear, hertz).row("z_mean")
     assert hard.errors["z_mean"].error == row.difference
     assert hard.cpu_seconds == pytest.approx((linear.result.cpu_seconds,))
@@ -360,8 +297,8 @@ def test_a_small_bed_is_traded_to_its_end(tmp_path):
 
 @pytest.mark.solver
 def test_runs_that_a_budget_stopped_go_on(tmp_path, monkeypatch):
-    monkeypatch.setattr(bed, "SHORTEST", 0.5)
-    monkeypatch.setattr(bed, "REST", 0.2)
+    monkeypatch.setattr(loop, "SHORTEST", 0.5)
+    monkeypatch.setattr(loop, "REST", 0.2)
     monkeypatch.setattr(bed_runs, "OVERHEAD", 0.5)
     scene = mini(20.0)
     case = written(scene, tmp_path)
@@ -373,8 +310,8 @@ def test_runs_that_a_budget_stopped_go_on(tmp_path, monkeypatch):
     shares = [[point.ran_share for point in (trade.reference, *trade.points)] for trade in (first, second)]
     assert all(after >= before for before, after in zip(*shares, strict=True))
     assert sum(shares[1]) > sum(shares[0])
-    assert not list(tmp_path.glob("trade/runs/*/round-1/*/runs/*/attempt-*"))  # none began anew
-    run = next((tmp_path / "trade" / "runs" / "reference-N10").glob("round-1/hertz/runs/*/hertz"))
+    assert not list(tmp_path.glob("trade/runs/round-1/*/runs/*/attempt-*"))  # none began anew
+    (run,) = folders_of(tmp_path / "trade", second.reference)
     series = load_part(run).series
     assert np.array_equal(series.coupling, np.arange(1, len(series.t) + 1))
     assert len(series.t) / couplings_of(scene) == pytest.approx(second.reference.ran_share)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import pytest
@@ -9,79 +10,52 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kncal.core.errors import InputError
-from kncal.study.trade.budget import Budget, Work, affordable, allocate, bisection_order, weighted
+from kncal.study.trade.budget import FEWEST, Budget, affordable, limit_of, rounds_of, spread
 
-LONGEST = 2.0
-rates = st.floats(1e-2, 1e5)
-capacities = st.floats(0.0, 1e6)
-
-
-@st.composite
-def works(draw):
-    given_rates = draw(st.lists(rates, min_size=1, max_size=12))
-    return [
-        Work(
-            name=f"run-{k}",
-            rate=rate,
-            done=draw(st.floats(0.0, LONGEST)),
-            weight=draw(st.floats(1.0, 50.0)),
-        )
-        for k, rate in enumerate(given_rates)
-    ]
+models = st.lists(st.sampled_from(["linear", "hertz"]), min_size=1, max_size=40)
+seconds = st.floats(0.0, 1e6)
+lanes = st.integers(1, 8)
+overheads = st.floats(0.0, 10.0)
 
 
-def cost(given_works, times) -> float:
-    return sum(w.rate * (times[w.name] - w.done) for w in given_works)
+def wall(runs, limit, at_once, overhead):
+    """Wall-clock time of runs that all take their limit: those of a model side by side, model after model."""
+    return sum(math.ceil(runs.count(model) / at_once) * (limit + overhead) for model in set(runs))
 
 
-@given(works(), capacities)
-def test_never_plans_more_than_there_is_and_never_takes_back(runs, capacity):
-    times = allocate(runs, capacity, LONGEST)
-    # a hundred halvings end at rounding of the sum
-    assert cost(runs, times) <= capacity + 1e-9 * max(capacity, sum(w.rate for w in runs) * LONGEST)
-    assert all(w.done <= times[w.name] <= LONGEST for w in runs)
+@given(models, seconds, lanes, overheads)
+def test_a_round_takes_no_longer_than_it_has(runs, given_seconds, at_once, overhead):
+    limit = limit_of(runs, given_seconds, at_once, overhead)
+    assert wall(runs, limit, at_once, overhead) <= given_seconds * (1.0 + 1e-9) + 1e-9
 
 
-@given(works(), capacities, capacities)
-def test_more_time_makes_no_run_shorter(runs, one, two):
-    less, more = (allocate(runs, capacity, LONGEST) for capacity in sorted((one, two)))
-    assert all(less[name] <= more[name] * (1.0 + 1e-9) for name in less)
+@given(models, seconds, lanes, overheads)
+def test_rounds_of_growing_length_end_in_time(runs, given_seconds, at_once, overhead):
+    """All in the first round, half of them in the next: none takes longer, and each run's limit only grows."""
+    count = affordable(runs, given_seconds, at_once, overhead, 1.0)
+    alive, rounds, left, before = runs[:count], rounds_of(count), given_seconds, 1.0
+    while rounds and alive:
+        limit = limit_of(alive, left / rounds, at_once, overhead)
+        assert limit >= before * (1.0 - 1e-9) - 1e-9
+        left -= wall(alive, limit, at_once, overhead)
+        assert left >= -1e-9 * given_seconds
+        alive, rounds, before = alive[: max((len(alive) + 1) // 2, FEWEST)], rounds - 1, limit
+    assert len(alive) <= FEWEST
 
 
-@given(works())
-def test_with_time_enough_all_run_to_their_end(runs):
-    times = allocate(runs, 2.0 * sum(w.rate for w in runs) * LONGEST, LONGEST)
-    assert list(times.values()) == pytest.approx([LONGEST] * len(runs), rel=1e-12)
-
-
-@given(st.lists(st.tuples(rates, st.floats(1.0, 50.0)), min_size=2, max_size=8))
-def test_the_summed_variance_is_least(given_runs):
-    """Any other split of the same time between two runs gives a larger sum of w/T (no run at its limit)."""
-    runs = [Work(name=str(k), rate=rate, weight=weight) for k, (rate, weight) in enumerate(given_runs)]
-    capacity = 1e-3 * LONGEST * min(w.rate for w in runs)
-    times = allocate(runs, capacity, LONGEST)
-    best = sum(w.weight / times[w.name] for w in runs)
-    a, b = runs[0], runs[-1]
-    for share in (0.3, -0.3):
-        moved = share * min(a.rate * times[a.name], b.rate * times[b.name])
-        other = times | {a.name: times[a.name] + moved / a.rate, b.name: times[b.name] - moved / b.rate}
-        assert sum(w.weight / other[w.name] for w in runs) > best
-
-
-def test_of_equal_cost_the_reference_runs_root_n_times_as_long():
-    runs = [Work(name=str(k), rate=100.0) for k in range(10)]
-    times = allocate(weighted(runs), 100.0, LONGEST)
-    assert times["0"] / times["1"] == pytest.approx(3.0)  # nine comparisons rest on it
-
-
-@given(st.lists(rates, min_size=1, max_size=8), capacities, capacities)
-def test_more_time_affords_no_fewer_runs(given_rates, one, two):
-    runs = [Work(name=str(k), rate=rate) for k, rate in enumerate(given_rates)]
-    fewer, more = (affordable(runs, capacity, LONGEST, 0.5 * LONGEST) for capacity in sorted((one, two)))
+@given(models, seconds, seconds, lanes, overheads)
+def test_more_time_affords_no_fewer_runs(runs, one, two, at_once, overhead):
+    fewer, more = (affordable(runs, s, at_once, overhead, 5.0) for s in sorted((one, two)))
     assert fewer <= more
-    if fewer:
-        times = allocate(weighted(runs[:fewer]), min(one, two), LONGEST)
-        assert min(times.values()) >= 0.5 * LONGEST * (1.0 - 1e-9)
+
+
+@given(st.integers(0, 30))
+def test_every_place_has_its_turn_once_and_the_first_lie_far_apart(number):
+    order = spread(number)
+    assert sorted(order) == list(range(number))
+    if number >= 7:
+        first = sorted(order[:3])
+        assert min(b - a for a, b in itertools.pairwise(first)) >= number // 4
 
 
 class Clock:
@@ -95,40 +69,10 @@ class Clock:
 def test_a_budget_counts_down_and_no_budget_has_no_end():
     clock = Clock()
     budget = Budget(10.0, clock)
-    assert budget.allows(10.0)
-    assert not budget.allows(10.1)
     clock.now += 7.0
     assert (budget.spent(), budget.left()) == (7.0, 3.0)
     clock.now += 7.0
     assert budget.left() == 0.0
     assert Budget(None, clock).left() == math.inf
-    assert Budget(None, clock).allows(1e99)
     with pytest.raises(InputError, match="budget"):
         Budget(0.0)
-
-
-FACTORS = tuple(1.0 / 3.0**k for k in range(12))
-
-
-@given(st.integers(0, 11))
-def test_the_edge_is_found_by_halving(edge):
-    """Whatever the edge, it takes at most as many runs as halving twelve factors does."""
-    inside = {FACTORS[0]: True}
-    tried = 0
-    while True:
-        order = bisection_order(FACTORS, inside)
-        bad = [k for k, f in enumerate(FACTORS) if inside.get(f) is False]
-        good = max(k for k, f in enumerate(FACTORS) if inside.get(f))
-        if min(bad, default=len(FACTORS)) - good == 1:
-            break
-        factor = order[0]
-        inside[factor] = FACTORS.index(factor) <= edge
-        tried += 1
-    assert good == edge
-    assert tried <= math.ceil(math.log2(len(FACTORS)))
-
-
-@given(st.dictionaries(st.sampled_from(FACTORS), st.booleans()))
-def test_every_factor_has_its_turn_once(inside):
-    order = bisection_order(FACTORS, inside)
-    assert sorted(order) == sorted(set(FACTORS) - set(inside))

@@ -14,12 +14,13 @@ from kncal.scene.plan import plan
 from kncal.scene.scene import Scene
 from kncal.study.trim.base import OFF, ON, OTHER, Part
 from kncal.study.trim.parts import GROUPS, parts_of
+from kncal.study.variants import texts
 
 
 def changed(scene: Scene | BedScene, part: Part, folder: Path) -> Scene | BedScene:
     path = folder / f"{scene.name}.toml"
     path.write_text(dump_case(scene), "utf-8")
-    return replace(load_case(path, overrides=part.overrides), title=scene.title)
+    return replace(load_case(path, overrides=texts(part.changes)), title=scene.title)
 
 
 def everything(name: str) -> Scene | BedScene:
@@ -33,11 +34,11 @@ def test_every_part_that_applies_gives_another_scene_that_can_be_planned(name: s
     for part in parts_of(scene, "linear"):
         assert part.group in GROUPS
         if part.why_not:
-            assert not part.overrides
+            assert not part.changes
             continue
         other = changed(scene, part, tmp_path)
-        assert (other != scene) == bool(part.overrides)
-        assert part.overrides or part.model == "hertz"
+        assert (other != scene) == bool(part.changes)
+        assert part.changes or part.model == "hertz"
         if isinstance(other, BedScene):
             assert plan(other, ("linear",))["linear"].couplings > 0
         else:
@@ -85,7 +86,7 @@ def test_a_wall_out_of_reach_may_go_and_one_in_reach_may_not(tmp_path: Path) -> 
     assert isinstance(scene, Scene)
     side = replace(scene.walls[0], name="side", axis="x", position=1.0)
     (part,) = parts_of(replace(scene, walls=(*scene.walls, side)), "linear", ["walls"])
-    assert part.overrides == ("walls.side=none",)
+    assert part.changes == {"walls.side": None}
     assert "can be touched" in parts_of(scene, "linear", ["walls"])[0].why_not
 
 

@@ -12,11 +12,12 @@ from kncal.runs.solving import get_engine
 from kncal.runs.workflow import load_run, run_case
 from kncal.scene.case_file import load_scene
 from kncal.scene.plan import plan
-from kncal.study.trade.base import TradeOptions
+from kncal.study.trade.candidates import contacts, softened, softer_materials
 from kncal.study.trade.errors import Reference, converge
-from kncal.study.trade.points import contacts, softened, softer_materials
-from kncal.study.trade.single import trade_contacts
+from kncal.study.trade.run import trade_contacts
+from kncal.study.trade.trade import TradeOptions
 from kncal.study.trade.workflow import run_trade
+from kncal.study.variants import texts
 
 pytestmark = pytest.mark.slow
 
@@ -214,10 +215,10 @@ def test_softening_scales_every_pair_and_nothing_else(tmp_path):
     scene = load_scene(where)
     before = plan(scene, ("linear",))["linear"]
     assert len({c.k for c in before.contacts.values()}) == 3
-    overrides = softened(where, scene, before, FACTOR, ("contact.pairs.0.k_n=none",))
-    after = plan(load_scene(where, overrides=overrides), ("linear",))["linear"]
-    for names, contact in before.named.items():
-        soft = after.between(*names)
+    changes = softened(where, scene, before, FACTOR, {"contact.pairs.0.k_n": None})
+    after = plan(load_scene(where, overrides=texts(changes)), ("linear",))["linear"]
+    for names, contact in before.contacts.items():
+        soft = after.contacts[names]
         assert soft.k == pytest.approx(FACTOR * contact.k, rel=1e-12)
         assert (soft.e_n, soft.friction, soft.v_0) == (contact.e_n, contact.friction, contact.v_0)
         assert soft.t_c == pytest.approx(contact.t_c / math.sqrt(FACTOR), rel=1e-9)
@@ -228,7 +229,7 @@ def test_every_contact_is_a_valid_variant_of_the_case(tmp_path):
     reference, tried = contacts(where, TradeOptions(reference=("materials.soft.young=2e7",), factors=(1.0, 0.1)))
     assert reference.model == "hertz"
     assert len({contact.name for contact in tried}) == len(tried)
-    real = plan(load_scene(where, overrides=reference.overrides), ("hertz",))["hertz"]
+    real = plan(load_scene(where, overrides=texts(reference.changes)), ("hertz",))["hertz"]
     for contact in tried:
         model = plan(load_scene(where, overrides=contact.at(20.0).variant.overrides), (contact.model,))[contact.model]
         if contact.how == "reduced_modulus":
@@ -239,7 +240,7 @@ def test_every_contact_is_a_valid_variant_of_the_case(tmp_path):
 
 def test_reference_overrides_come_before_the_reduction(tmp_path):
     where = case(tmp_path, THREE_PAIRS)
-    assert softer_materials(where, ("materials.soft.young=4e7",), 0.25) == ("materials.soft.young=10000000.0",)
+    assert softer_materials(where, ("materials.soft.young=4e7",), 0.25) == {"materials.soft.young": 1e7}
 
 
 @pytest.mark.parametrize(

@@ -13,9 +13,9 @@ from trades import point, trade
 from kncal.core.errors import InputError
 from kncal.observe.tolerances import parse_tolerances
 from kncal.study.trade.answer import sentences, to_dict
-from kncal.study.trade.base import Sign
 from kncal.study.trade.front import conclude, inside, pareto, verdict, worst_ratio
 from kncal.study.trade.report import shown_points
+from kncal.study.trade.trade import Sign
 
 # few values, so that ties happen
 NUMBERS = st.sampled_from([1.0, 2.0, 3.0, 5.0, 8.0]) | st.floats(1e-3, 1e3)

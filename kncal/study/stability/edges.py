@@ -109,7 +109,7 @@ def liggghts_runner(folder: Path, workers: int | None = None) -> Runner:
             Variant(
                 name=f"dt-{i}",
                 model=probe.kind,
-                overrides=(f"run.dt={dt!r}", f"run.until_time={dt * n_steps!r}"),
+                changes={"run.dt": dt, "run.until_time": dt * n_steps},
             )
             for i, (dt, n_steps) in enumerate(wanted)
         ]

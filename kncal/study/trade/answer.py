@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kncal.core.units import quantity
-from kncal.study.trade.base import Candidate, Trade, TradePoint
 from kncal.study.trade.cost_law import Law
 from kncal.study.trade.front import Conclusion, SpeedUp, Turn, changed, cost, failing, verdict, worst_ratio
+from kncal.study.trade.trade import Candidate, Trade, TradePoint
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -9,7 +9,7 @@ import numpy as np
 
 from kncal.core.checks import Array
 from kncal.core.errors import InputError
-from kncal.study.trade.base import Trade, TradePoint
+from kncal.study.trade.trade import Trade, TradePoint
 
 #: The exponent of the law: t_c ~ k_n^(-1/2), so the number of steps goes with k_n^(1/2).
 LAW = 0.5

@@ -1,21 +1,31 @@
-"""The error of a run of single contacts against the reference run, and where it comes from."""
+"""The error of a run against the reference run, and where it comes from."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import TypeVar
 
+import numpy as np
+
+from kncal.observe.bed_compare import ObservedRun, rows_between
+from kncal.observe.bed_rows import DOUBT, RMS, BedRow
 from kncal.observe.compare import RunData
 from kncal.observe.difference import PATHS, Difference, Side, difference, metric_names, path_difference
 from kncal.observe.truth import exact_metrics, exact_motion, predicted_errors
+from kncal.physics.statistics import difference as difference_of_averages
 from kncal.scene.metrics import metric_unit, split_metric
-from kncal.study.trade.base import Convergence, ErrorSplit, MetricError, Part
+from kncal.study.trade.trade import Candidate, Convergence, ErrorSplit, MetricError, Part
 
 #: From one N to the next, orders of convergence between these are believed: velocity Verlet is of second order, at a
 #: force that jumps at touch (a damped contact) of first.
 ORDERS = (1.0, 2.0)
+
+T = TypeVar("T")
+#: Two runs that differ in one thing; None: not known.
+Step = tuple[T | None, T | None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,11 +138,9 @@ def split_errors(
     worst: Mapping[str, Mapping[str, float]],
     more: tuple[str, ...] = (),
 ) -> tuple[ErrorSplit, ...]:
-    """Split the error of every metric by changing one thing at a time.
+    """Split the error of every metric of single contacts; see `split`.
 
-    Discretisation: the run against the same contact converged in N. Softness: that against the same model unsoftened,
-    converged. Model: the unsoftened linear contact against the reference. Differences of a number add up exactly;
-    distances of paths don't, and what is left over is their interaction.
+    Differences of a number add up exactly; distances of paths don't, and what is left over is their interaction.
 
     Parameters
     ----------
@@ -142,6 +150,9 @@ def split_errors(
     worst : "linear" and "hertz" -> metric -> predicted worst relative discretisation error of converged runs [-]
     """
     splits = []
+    steps: dict[str, Step[RunData]] = {"discretisation": (run, converged), "softness": (converged, unsoftened)}
+    if run.model.kind != "hertz":
+        steps["model"] = (unsoftened, reference.run)
     for name, total in reference.differences(run, more).items():
         if total.difference is None or total.scale is None:
             continue
@@ -152,33 +163,34 @@ def split_errors(
             own = data is reference.run or value is None or share is None
             return left if own else float(share or 0.0) * abs(value or 0.0) / scale
 
-        parts: dict[str, Part | None] = {"discretisation": None, "softness": None, "model": None}
-        missing = []
-        hertz = run.model.kind == "hertz"
-        pairs: dict[str, tuple[RunData | None, RunData | None]] = {
-            "discretisation": (run, converged),
-            "softness": (converged, unsoftened),
-        }
-        if not hertz:
-            pairs["model"] = (unsoftened, reference.run)
-        for what, (a, b) in pairs.items():
-            value = None if a is None or b is None else reference.step(name, scale, a, b)
-            if value is None or a is None or b is None:
-                missing.append(what)
-                continue
-            width = sum(bound(data) for data in {id(d): d for d in (a, b)}.values() if data is not run)
-            parts[what] = Part(value=value, uncertainty=0.0 if a is b else width)
-        known = [part.value for part in parts.values() if part is not None]
-        splits.append(
-            ErrorSplit(
-                metric=name,
-                total=Part(value=total.difference, uncertainty=left),
-                interaction=None if missing else total.difference - math.fsum(known),
-                missing=tuple(missing),
-                **parts,
-            )
-        )
+        def between(
+            a: RunData, b: RunData, name: str = name, scale: float = scale, bound: Callable[[RunData], float] = bound
+        ) -> Part | None:
+            value = reference.step(name, scale, a, b)
+            width = sum(bound(data) for data in (a, b) if data is not run)
+            return None if value is None else Part(value=value, uncertainty=0.0 if a is b else width)
+
+        splits.append(split(name, Part(value=total.difference, uncertainty=left), steps, between))
     return tuple(splits)
+
+
+def split(metric: str, total: Part, steps: Mapping[str, Step[T]], between: Callable[[T, T], Part | None]) -> ErrorSplit:
+    """Split the error of one metric by what was changed one at a time.
+
+    Discretisation: the run against the same contact converged in N. Softness: that against the same model unsoftened,
+    converged. Model: the unsoftened linear contact against the reference.
+
+    Parameters
+    ----------
+    total : the whole error
+    steps : part -> the two runs that differ in it, None: not known; a part that is not there has no meaning
+    between : the difference of two runs in this metric
+    """
+    parts = {what: None if a is None or b is None else between(a, b) for what, (a, b) in steps.items()}
+    missing = tuple(what for what, part in parts.items() if part is None)
+    known = math.fsum(part.value for part in parts.values() if part is not None)
+    left = None if missing else total.value - known
+    return ErrorSplit(metric=metric, total=total, **parts, interaction=left, missing=missing)
 
 
 def worst_errors(run: RunData) -> Mapping[str, float]:
@@ -236,3 +248,86 @@ def converge(
         threshold=threshold,
         converged=len(steps) > 1 and all(small),
     )
+
+
+# --- beds ---------------------------------------------------------------------
+
+
+def bed_errors(run: ObservedRun, reference: ObservedRun, tolerances: Mapping[str, float]) -> dict[str, MetricError]:
+    """Return the error of every metric of a bed that one of the two runs has, or that has a tolerance.
+
+    The uncertainty is the half-width of the 95 % interval of both averages, three times that where one of them is
+    not reliable (`kncal.observe.bed_rows.DOUBT`).
+    """
+    return {row.metric: _bed_error(row) for row in rows_between(run, reference, tolerances, ("candidate", "reference"))}
+
+
+def _bed_error(row: BedRow) -> MetricError:
+    error, width, reason = row.difference, row.uncertainty, row.reason
+    if error is not None and row.basis == RMS:
+        # what is left of the rms difference after the noise is between these two: see
+        # `kncal.observe.bed_rows.judge_field`
+        noise = width or 0.0
+        low = float(np.sqrt(max(error**2 - 4.0 * noise**2, 0.0)))
+        error, width = 0.5 * (error + low), 0.5 * (error - low)
+    elif error is not None and width is not None and reason:
+        width *= DOUBT
+        reason = f"interval taken {DOUBT:g} times as wide: {reason}"
+    return MetricError(
+        metric=row.metric,
+        unit=row.unit,
+        value=row.linear,
+        reference=row.hertz,
+        error=error,
+        uncertainty=width,
+        basis=row.basis,
+        reason=reason,
+        needed_end_time=row.needed_end_time,
+    )
+
+
+def bed_splits(
+    runs: Iterable[tuple[Candidate, ObservedRun, Mapping[str, MetricError]]], reference: ObservedRun, steps: float
+) -> dict[str, tuple[ErrorSplit, ...]]:
+    """Split the errors of each candidate of a bed, metric by metric; see `split`. ``steps``: N of the reference.
+
+    Each part is the difference of two averages, with the interval of both: a part within its own is not resolved. At
+    the N of the reference there is no part of the step, since the reference has the same.
+    """
+    runs = list(runs)
+    at = {(c.model, c.how, c.factor, c.steps_per_contact): run for c, run, _ in runs}
+    unsoftened = next(
+        (r for c, r, _ in runs if (c.model, c.factor, c.steps_per_contact) == ("linear", 1.0, steps)), None
+    )
+    found = {}
+    for c, run, errors in runs:
+        hard = reference if c.model == "hertz" else unsoftened
+        real = c.model == "hertz" and c.factor == 1.0
+        fine = reference if real else at.get((c.model, c.how, c.factor, steps))
+        chain: dict[str, Step[ObservedRun]] = {}
+        if c.steps_per_contact != steps:
+            chain["discretisation"] = (run, fine)
+        if c.factor != 1.0:
+            chain["softness"] = (fine, hard)
+        if c.model == "linear":
+            chain["model"] = (hard, reference)
+        found[c.name] = tuple(
+            split(e.metric, Part(value=e.error, uncertainty=e.uncertainty), chain, _between_averages(e))
+            for e in errors.values()
+            if e.error is not None and e.basis != RMS
+        )
+    return found
+
+
+def _between_averages(error: MetricError) -> Callable[[ObservedRun, ObservedRun], Part | None]:
+    scale = abs(error.reference or 0.0) if error.basis.startswith("relative") else 1.0
+
+    def between(a: ObservedRun, b: ObservedRun) -> Part | None:
+        first, second = a.found.side(error.metric).average, b.found.side(error.metric).average
+        if first is None or second is None or scale == 0.0:
+            return None
+        apart = difference_of_averages(first, second)
+        width = apart.uncertainty * (1.0 if apart.reliable else DOUBT)
+        return Part(value=apart.value / scale, uncertainty=width / scale)
+
+    return between

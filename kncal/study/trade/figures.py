@@ -11,9 +11,9 @@ import numpy as np
 
 from kncal.report.figures import Figure
 from kncal.report.plots import STYLES, new_axes, save
-from kncal.study.trade.base import ErrorSplit, Trade, TradePoint
 from kncal.study.trade.cost_law import LAW, Law
 from kncal.study.trade.front import Conclusion, cost, worst_ratio
+from kncal.study.trade.trade import ErrorSplit, Trade, TradePoint
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

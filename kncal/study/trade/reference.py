@@ -1,22 +1,25 @@
-"""The reference of a trade of single contacts: when all runs end, and at which N Hertz has converged."""
+"""The reference of a trade: when all runs end, and at which N Hertz has converged."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from kncal.core.errors import KncalError, RunError
+from kncal.core.errors import InputError, KncalError, RunError
+from kncal.physics.laws import LAWS
 from kncal.physics.timestep import predict_error
+from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import load_scene
 from kncal.scene.model import Model
 from kncal.scene.plan import MOST_STEPS, plan
 from kncal.scene.scene import Scene
-from kncal.study import removing
-from kncal.study.trade.base import Candidate, Convergence
+from kncal.study.trade.candidates import Contact
 from kncal.study.trade.errors import Reference, converge
-from kncal.study.trade.points import Contact, merged
-from kncal.study.trade.runs import Runs
+from kncal.study.trade.runs import ContactRuns
+from kncal.study.trade.trade import Candidate, Convergence
+from kncal.study.variants import Changes, removing, texts
 
 #: The reference is tried at these numbers of steps per contact.
 REFERENCE_STEPS = tuple(100.0 * 2.0**k for k in range(8))
@@ -34,16 +37,21 @@ class Ends:
 
     Attributes
     ----------
-    overrides : that pin it, the same for all
+    changes : that pin it, the same for all
     until : where the case itself ends, by the reference [s]; None: at the pinned time
     contacts : contacts 1 to this number count, None: all
     pinned : [s]
     """
 
-    overrides: tuple[str, ...]
+    changes: Changes
     until: float | None
     contacts: int | None
     pinned: float
+
+    @property
+    def overrides(self) -> tuple[str, ...]:
+        """The same as texts."""
+        return texts(self.changes)
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -93,17 +101,17 @@ def ends_of(case: str | Path, scene: Scene, reference: Contact, tried: Sequence[
     """
     no_dt = removing(case, "run.dt")
     if scene.run.until_time is not None:
-        return Ends(overrides=no_dt, until=None, contacts=None, pinned=scene.run.until_time)
-    until = plan(load_scene(case, overrides=merged(reference.overrides, no_dt)), ("hertz",))["hertz"].t_end
+        return Ends(changes=no_dt, until=None, contacts=None, pinned=scene.run.until_time)
+    until = plan(load_scene(case, overrides=texts({**reference.changes, **no_dt})), ("hertz",))["hertz"].t_end
     latest = until
     for contact in tried:
         try:
-            models = plan(load_scene(case, overrides=merged(contact.overrides, no_dt)), (contact.model,))
+            models = plan(load_scene(case, overrides=texts({**contact.changes, **no_dt})), (contact.model,))
         except KncalError:
             continue  # it cannot be, or never bounces: its run tells why
         latest = max(latest, models[contact.model].t_end)
-    overrides = ("run.until_bounces=none", f"run.until_time={latest!r}", *no_dt)
-    return Ends(overrides=overrides, until=until, contacts=scene.run.until_bounces, pinned=latest)
+    changes = {"run.until_bounces": None, "run.until_time": latest, **no_dt}
+    return Ends(changes=changes, until=until, contacts=scene.run.until_bounces, pinned=latest)
 
 
 def converged_steps(model: Model, threshold: float, least: float) -> float:
@@ -119,7 +127,7 @@ def converged_steps(model: Model, threshold: float, least: float) -> float:
     return next((n for n in REFERENCE_STEPS if n >= needed), REFERENCE_STEPS[-1])
 
 
-def find_reference(runs: Runs, contact: Contact, ends: Ends, tolerances: Mapping[str, float]) -> Found:
+def find_reference(runs: ContactRuns, contact: Contact, ends: Ends, tolerances: Mapping[str, float]) -> Found:
     """Double N until no judged metric moves by more than a tenth of the smallest tolerance, nor has more left.
 
     Raises
@@ -130,7 +138,7 @@ def find_reference(runs: Runs, contact: Contact, ends: Ends, tolerances: Mapping
     threshold = _SHARE * min(tolerances.values()) if tolerances else DEFAULT_THRESHOLD
     tried = {}
     for n in REFERENCE_STEPS:
-        candidate = contact.at(n, *ends.overrides)
+        candidate = contact.at(n, ends.changes)
         runs.run([candidate])
         ended = runs.ended[candidate.name]
         if candidate.name not in runs.data:
@@ -141,3 +149,24 @@ def find_reference(runs: Runs, contact: Contact, ends: Ends, tolerances: Mapping
             break
     truth = Reference(run=tried[n], until=ends.until, contacts=ends.contacts, left=found.left)
     return Found(candidate=candidate, truth=truth, convergence=found)
+
+
+def reference_steps(scene: BedScene, steps: tuple[float, ...], tolerance: float) -> tuple[float, float]:
+    """Return N of the reference, and the discretisation error of one contact there, mean over phases [-].
+
+    The chaos of a bed hides what a step does to its averages until runs are very long, so that N is chosen by what the
+    step does to contacts: the smallest of ``steps`` and the case's own, not below the latter, at which no mean error
+    of a contact is more than `_SHARE` of the ``tolerance``; else the largest.
+    """
+    own = scene.run.steps_per_contact
+    found = math.nan
+    chosen = own
+    for chosen in sorted({own, *(n for n in steps if n > own)}):
+        try:
+            predicted = predict_error(LAWS.find(scene.contact.law), scene.contact.e_n, chosen, scene.contact.end)
+        except InputError:
+            continue
+        found = max(abs(value) for value in predicted.mean.values())
+        if found <= _SHARE * tolerance:
+            break
+    return chosen, found

@@ -15,10 +15,10 @@ from kncal.core.scratch import drawn_aside
 from kncal.core.units import quantity, si_prefix
 from kncal.report.page import Table, page_template
 from kncal.study.trade.answer import describe, sentences, shown_factor
-from kncal.study.trade.base import Candidate, ErrorSplit, MetricError, Part, Trade, TradePoint
 from kncal.study.trade.cost_law import Law
 from kncal.study.trade.figures import draw_trade_figures
 from kncal.study.trade.front import Conclusion, changed, cost, verdict, worst_ratio
+from kncal.study.trade.trade import Candidate, ErrorSplit, MetricError, Part, Trade, TradePoint
 
 #: Points of the front whose worst error is more times its tolerance are not shown with it.
 NEAR = 10.0

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from kncal.observe.cost import CPU_TRUSTED
-from kncal.study.trade.base import Candidate, Tell, TradeOptions, TradePoint
 from kncal.study.trade.budget import Budget
 from kncal.study.trade.front import USUAL_STEPS, pareto, worst_ratio
-from kncal.study.trade.runs import Runs
+from kncal.study.trade.runs import BedRuns, ContactRuns
+from kncal.study.trade.trade import Candidate, Tell, TradeOptions, TradePoint
 
 #: Runs that are started together under a budget.
 _BATCH = 8
@@ -52,7 +53,7 @@ _LAW = ("softened", "reduced_modulus")
 
 
 def time_points(
-    runs: Runs,
+    runs: ContactRuns,
     reference: Candidate,
     points: Sequence[TradePoint],
     options: TradeOptions,
@@ -69,16 +70,16 @@ def time_points(
     predicted = 0.0
     for k in range(0, len(wanted), _BATCH):
         batch = [reference, *wanted[k : k + _BATCH]] if k == 0 else wanted[k : k + _BATCH]
-        if k > 0 and not budget.allows(predicted):
+        if k > 0 and predicted > budget.left():
             tell(f"the budget is used: {len(wanted) - k} points are not timed")
             return
         tell(f"timing {len(batch)} runs in {options.rounds} rounds; {budget.left():.0f} s left")
         before = budget.spent()
-        runs.run(batch, options.rounds, timeout=max(budget.left(), 1.0))
+        runs.run(batch, options.rounds, max(budget.left(), 1.0))
         predicted = max(predicted, budget.spent() - before)
 
 
-def timed(point: TradePoint, runs: Runs, why_not: str) -> TradePoint:
+def timed(point: TradePoint, runs: ContactRuns, why_not: str) -> TradePoint:
     """Return a point with the CPU times of its runs; ``why_not`` where there are none."""
     ended = runs.ended.get(point.candidate.name)
     if not point.completed or ended is None:
@@ -88,7 +89,7 @@ def timed(point: TradePoint, runs: Runs, why_not: str) -> TradePoint:
     return replace(point, cpu_seconds=ended.cpu_seconds)
 
 
-def agreement(screened: Runs, solved: Runs, names: Collection[str]) -> float | None:
+def agreement(screened: ContactRuns, solved: ContactRuns, names: Collection[str]) -> float | None:
     """Return the largest relative difference of metrics between the two engines [-]; None: nothing in common."""
     found = [
         abs(value - other) / abs(value)
@@ -121,3 +122,49 @@ def time_sentences(points: Sequence[TradePoint], reference: TradePoint, engine: 
     if untimed:
         yield f"{len(untimed)} of {len(points)} points were not timed (the budget was used)."
     yield f"Load of the machine before the runs: {load:.1f}."
+
+
+def bed_sentences(
+    runs: BedRuns, candidates: Sequence[Candidate], step: tuple[float, float], budget: Budget, load: float
+) -> Iterator[str]:
+    """Tell what to keep in mind of the runs of a bed.
+
+    Parameters
+    ----------
+    candidates : all that could run, the reference first
+    step : N of the reference, and the discretisation error of its contacts that is predicted there
+    budget : that was given; load : load average at the start
+    """
+    n, error = step
+    yield (
+        f"The reference, Hertz at the real modulus, has N = {n:g}: there the step changes its contacts by"
+        f" {100.0 * error:.2g} % in the mean, by prediction; what it does to averages was not resolved by runs"
+        " of their own unless another N is among the points."
+    )
+    top, *others = (runs.share(c.name) for c in candidates)
+    if top < 1.0:
+        yield (
+            f"The reference was run in part: {100.0 * top:.3g} % of its time. Averages are over that time,"
+            " with the wider intervals of it; CPU times are extrapolated to the whole time."
+        )
+    if part := sum(0.0 < share < 1.0 for share in others):
+        yield f"{part} more run(s) came to a part of their time only (ran_share); the same holds for them."
+    held = [later / first for name in runs.spans if (rates := runs.rates(name))[1:] for first, later in [rates]]
+    if held:
+        worst = max(held, key=lambda ratio: abs(math.log(ratio)))
+        yield (
+            f"Extrapolation of CPU times, checked on {len(held)} run(s): what followed the first part took"
+            f" {float(np.median(held)):.3g} times as long as that predicted (median; farthest: {worst:.3g})."
+        )
+    yield (
+        f"{runs.lanes} run(s) side by side on {os.cpu_count()} cores; load average {load:.2f} at the start,"
+        f" {os.getloadavg()[0]:.2f} at the end: others' work makes CPU times longer, by the cache, and more so"
+        " wall-clock times."
+    )
+    if budget.seconds is not None:
+        waiting = sum(share == 0.0 for share in others)
+        yield (
+            f"Budget {budget.seconds:g} s, used {budget.spent():.0f} s; {waiting} candidate(s) had no"
+            " turn. The same command with a larger budget goes on with these runs; with another run.end_time"
+            " they would be others."
+        )

@@ -17,14 +17,15 @@ from kncal.core.errors import InputError
 from kncal.core.files import write_csv, write_json, write_text
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import CASE, dump_case, load_case
-from kncal.scene.overrides import parse_override
 from kncal.scene.scene import Scene
 from kncal.study.folders import refuse_other
 from kncal.study.trade.answer import describe, sentences, to_dict, to_frame
-from kncal.study.trade.base import Tell, Trade, TradeOptions, TradePoint
+from kncal.study.trade.candidates import check_reference
 from kncal.study.trade.cost_law import Law, laws
 from kncal.study.trade.front import Conclusion, conclude
-from kncal.study.trade.points import check_reference
+from kncal.study.trade.run import trade_bed, trade_contacts
+from kncal.study.trade.trade import Tell, Trade, TradeOptions, TradePoint
+from kncal.study.variants import texts
 
 #: Folder of the case that was traded, if it is not as in its file.
 START = "case"
@@ -32,7 +33,7 @@ START = "case"
 RECORD = "trade.json"
 _LONGEST_TITLE = 300
 #: Keys of [run] that a chosen contact takes along; its end was pinned for the sake of the costs.
-_KEPT = (("run", "steps_per_contact"), ("run", "dt"))
+_KEPT = ("run.steps_per_contact", "run.dt")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +86,7 @@ def run_trade(
     InputError
         If there is no tolerance to judge by, an option is out of range, or ``out`` holds anything else.
     CaseFileError, RunError
-        As `kncal.study.trade.single.trade_contacts` and `kncal.study.trade.bed.trade_bed`.
+        As `kncal.study.trade.run.trade_contacts` and `kncal.study.trade.run.trade_bed`.
     """
     scene = load_case(case, overrides=overrides)
     tolerances: Mapping[str, float] = options.tolerances or scene.tolerances
@@ -102,12 +103,8 @@ def run_trade(
         case, scene = _written(scene, out, options, told)
     check_reference(case, options.reference)
     if isinstance(scene, BedScene):
-        from kncal.study.trade.bed import trade_bed
-
         trade = trade_bed(case, scene, out, options, told)
     else:
-        from kncal.study.trade.single import trade_contacts
-
         trade = trade_contacts(case, scene, out, options, told)
     return write_trade(case, trade, out)
 
@@ -173,12 +170,9 @@ def write_trade(case: str | Path, trade: Trade, out: Path) -> TradeResult:
 
 def chosen_case(case: str | Path, point: TradePoint) -> str:
     """Return the text of the case with a point's contact and steps per contact; its title says so."""
-    overrides = tuple(
-        text
-        for text in point.candidate.variant.overrides
-        if (path := parse_override(text).path)[0] != "run" or path in _KEPT
-    )
-    scene = load_case(case, overrides=overrides)
+    changes = point.candidate.variant.changes
+    kept = {key: value for key, value in changes.items() if not key.startswith("run.") or key in _KEPT}
+    scene = load_case(case, overrides=texts(kept))
     title = load_case(case).title or scene.name
     note = f" ({describe(point.candidate)}; chosen by kncal trade)"
     return dump_case(replace(scene, title=title[: _LONGEST_TITLE - len(note)] + note))

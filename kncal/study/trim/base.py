@@ -8,6 +8,7 @@ from typing import Any
 
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.scene import Scene
+from kncal.study.variants import Changes
 
 #: What is tried: the full scene without a part that it has, with one that it has not, or with another of equal rank.
 OFF, ON, OTHER = "off", "on", "other"
@@ -35,7 +36,7 @@ class Part:
     text : what it is, in words that follow "the"
     change : `OFF`, `ON` or `OTHER`
     tried : what is run instead of the full scene, in words
-    overrides : ``KEY=VALUE`` that make it, see `kncal.scene.overrides`
+    changes : of the case that make it, see `kncal.study.Variant`
     model : the contact model it is run with; "": that of the full scene
     why_not : why it has no meaning for this scene; empty if it has
     output : whether it is no physics, only what is recorded
@@ -47,7 +48,7 @@ class Part:
     text: str
     change: str
     tried: str
-    overrides: tuple[str, ...] = ()
+    changes: Changes = field(default_factory=dict)
     model: str = ""
     why_not: str = ""
     output: bool = False

@@ -16,6 +16,7 @@ from kncal.scene.contact_limits import FEWEST_FRAMES
 from kncal.scene.needs import Needs, decide, untouched_walls
 from kncal.scene.scene import ContactChoice, Scene
 from kncal.study.trim.base import OFF, ON, OTHER, Part
+from kncal.study.variants import Changes
 
 #: Frames are tried this many times as far apart.
 SPARSER = 4
@@ -54,8 +55,8 @@ def parts_of(scene: Scene | BedScene, model: str, groups: Iterable[str] | None =
     return tuple(part for part in found if part.group in wanted)
 
 
-def _part(name: str, text: str, change: str, tried: str, *overrides: str, model: str = "") -> Part:
-    return Part(name=name, group=name, text=text, change=change, tried=tried, overrides=overrides, model=model)
+def _part(name: str, text: str, change: str, tried: str, changes: Changes | None = None, *, model: str = "") -> Part:
+    return Part(name=name, group=name, text=text, change=change, tried=tried, changes=changes or {}, model=model)
 
 
 def _not(name: str, text: str, why: str) -> Part:
@@ -103,12 +104,12 @@ def _friction(contact: ContactChoice, needs: Needs, frictions: list[float]) -> I
         if coefficients[name] == 0.0:
             yield _not(name, text, "its coefficient is 0 in every contact")
         elif needs.uses(name):  # without the tangential spring nothing is set rolling, so rolling friction goes with it
-            yield _part(name, text, OFF, f"without {text}", f"needs.{name}=false")
+            yield _part(name, text, OFF, f"without {text}", {f"needs.{name}": False})
         else:
             # one at a time: what can be set rolling by it would get rolling friction as well
             alone = name == "tangential" and coefficients["rolling"] > 0.0 and not needs.uses("rolling")
-            others = ("needs.rolling=false",) if alone else ()
-            yield _part(name, text, ON, f"with {text}", f"needs.{name}=true", *others)
+            others = {"needs.rolling": False} if alone else {}
+            yield _part(name, text, ON, f"with {text}", {f"needs.{name}": True, **others})
 
 
 def _damping(contact: ContactChoice) -> Part:
@@ -116,9 +117,9 @@ def _damping(contact: ContactChoice) -> Part:
     rows = [i for i, choice in enumerate(contact.pairs) if choice.e_n not in (None, 1.0)]
     if contact.e_n == 1.0 and not rows:
         return _not("damping", text, "e_n is 1 in every contact")
-    changes = [f"contact.pairs.{i}.e_n=1.0" for i in rows]
-    changes += ["contact.e_n=1.0"] if contact.e_n != 1.0 else []
-    return _part("damping", text, OFF, "e_n = 1 in every contact", *changes)
+    changes = {f"contact.pairs.{i}.e_n": 1.0 for i in rows}
+    changes |= {"contact.e_n": 1.0} if contact.e_n != 1.0 else {}
+    return _part("damping", text, OFF, "e_n = 1 in every contact", changes)
 
 
 def _contact_model(model: str) -> Part:
@@ -134,7 +135,7 @@ def _walls(scene: Scene) -> Part:
     if not names:
         why = "every wall can be touched" if scene.walls else "the scene has no walls"
         return _not("walls", text, why)
-    return _part("walls", text, OFF, f"without {', '.join(names)}", *(f"walls.{name}=none" for name in names))
+    return _part("walls", text, OFF, f"without {', '.join(names)}", {f"walls.{name}": None for name in names})
 
 
 def _recording(scene: Scene) -> Part:
@@ -142,7 +143,7 @@ def _recording(scene: Scene) -> Part:
     every = SPARSER * run.record_every
     if run.steps_per_contact / every < FEWEST_FRAMES:
         return _not("output", text, f"a contact would have fewer than {FEWEST_FRAMES} frames")
-    part = _part("output", text, OFF, f"a frame every {every} steps of a contact", f"run.record_every={every}")
+    part = _part("output", text, OFF, f"a frame every {every} steps of a contact", {"run.record_every": every})
     return replace(part, output=True)
 
 
@@ -151,8 +152,8 @@ def _front_back(scene: BedScene) -> Part:
     if found == "layer":
         return _not("front_back", text, "one layer of particles, held in its plane")
     if found == "walls":
-        return _part("front_back", text, OFF, "periodic in depth", 'column.front_back="periodic"')
-    return _part("front_back", text, ON, "walls in front and at the back", 'column.front_back="walls"')
+        return _part("front_back", text, OFF, "periodic in depth", {"column.front_back": "periodic"})
+    return _part("front_back", text, ON, "walls in front and at the back", {"column.front_back": "walls"})
 
 
 def _depth(scene: BedScene) -> Part:
@@ -174,10 +175,12 @@ def _depth(scene: BedScene) -> Part:
         text,
         OFF,
         f"one layer of {count} particles",
-        'column.front_back="layer"',
-        f"column.depth={d!r}",
-        f"column.cells=[{nx}, 1, {nz}]",
-        f"particles.count={count}",
+        {
+            "column.front_back": "layer",
+            "column.depth": d,
+            "column.cells": [nx, 1, nz],
+            "particles.count": count,
+        },
     )
     lost = dict.fromkeys(OF_THE_DEPTH, "goes with the depth of the bed, or belongs to its grid")
     return replace(part, lost=lost)
@@ -188,8 +191,8 @@ def _gas(scene: BedScene) -> Part:
         return _not("gas", "gas", "the case has no [gas]")
     if not scene.particles.count or scene.particles.frozen:
         return _not("gas", "gas", "nothing else moves")
-    step = ("run.gas_step=none",) if scene.run.gas_step is not None else ()
-    return _part("gas", "gas", OFF, "particles only", "gas=none", *step)
+    step = {"run.gas_step": None} if scene.run.gas_step is not None else {}
+    return _part("gas", "gas", OFF, "particles only", {"gas": None, **step})
 
 
 def _coupled(scene: BedScene) -> str:
@@ -204,7 +207,7 @@ def _drag(scene: BedScene) -> Part:
     if (why := _coupled(scene)) or scene.gas is None:
         return _not("drag", text, why)
     other = next(name for name in DRAGS if name != scene.gas.drag)
-    return _part("drag", f"{text} {scene.gas.drag}", OTHER, f"drag by {other}", f'gas.drag="{other}"')
+    return _part("drag", f"{text} {scene.gas.drag}", OTHER, f"drag by {other}", {"gas.drag": other})
 
 
 def _smoothing(scene: BedScene) -> Iterator[Part]:
@@ -221,7 +224,7 @@ def _smoothing(scene: BedScene) -> Iterator[Part]:
                 text=f"{text} by {max(now, parcels)} parcels per particle",
                 change=OFF if parcels < now else ON,
                 tried=f"{parcels} parcel{'s' if parcels > 1 else ''} per particle",
-                overrides=(f"gas.parcels_per_particle={parcels}",),
+                changes={"gas.parcels_per_particle": parcels},
             )
 
 
@@ -230,8 +233,8 @@ def _gas_step(scene: BedScene) -> Part:
     if scene.gas is None:
         return _not("gas_step", text, "the case has no [gas]")
     if run.gas_step is not None and run.gas_step < run.coupling:
-        return _part("gas_step", text, OFF, "one gas step per coupling interval", "run.gas_step=none")
-    return _part("gas_step", text, ON, "two gas steps per coupling interval", f"run.gas_step={0.5 * run.coupling!r}")
+        return _part("gas_step", text, OFF, "one gas step per coupling interval", {"run.gas_step": None})
+    return _part("gas_step", text, ON, "two gas steps per coupling interval", {"run.gas_step": 0.5 * run.coupling})
 
 
 def _frames(scene: BedScene) -> Part:
@@ -239,5 +242,5 @@ def _frames(scene: BedScene) -> Part:
     every = SPARSER * run.frames_every
     if run.end_time / every < FEWEST_FRAMES:
         return _not("output", text, f"the run would have fewer than {FEWEST_FRAMES} frames")
-    part = _part("output", text, OFF, f"a frame every {every:g} s", f"run.frames_every={every!r}")
+    part = _part("output", text, OFF, f"a frame every {every:g} s", {"run.frames_every": every})
     return replace(part, output=True)

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from kncal.core.checks import in_range, one_of
 from kncal.core.errors import CaseFileError, InputError, RunError
@@ -49,6 +50,7 @@ from kncal.study.trim.effect import (
 )
 from kncal.study.trim.judgement import cannot_run, cost_text, describe, judge_part
 from kncal.study.trim.parts import parts_of
+from kncal.study.variants import texts
 
 FULL, FINE, RUNS = "full", "fine", "runs"
 MEASURED = "speed"
@@ -173,12 +175,8 @@ class _Study:
         variants = [Variant(name=FULL, model=self.options.model)]
         if not isinstance(self.scene, BedScene):
             run = self.scene.run
-            finer = (
-                f"run.steps_per_contact={2.0 * run.steps_per_contact!r}"
-                if run.dt is None
-                else f"run.dt={0.5 * run.dt!r}"
-            )
-            variants.append(Variant(name=FINE, model=self.options.model, overrides=(finer,)))
+            finer = {"run.dt": 0.5 * run.dt} if run.dt else {"run.steps_per_contact": 2.0 * run.steps_per_contact}
+            variants.append(Variant(name=FINE, model=self.options.model, changes=finer))
         return variants
 
     def _see_full(self) -> None:
@@ -218,7 +216,7 @@ def _tolerances(scene: Scene | BedScene, options: TrimOptions) -> dict[str, floa
 
 
 def _variant(part: Part, model: str) -> Variant:
-    return Variant(name=part.name, model=part.model or model, overrides=part.overrides)
+    return Variant(name=part.name, model=part.model or model, changes=part.changes)
 
 
 def _together(scene: Scene | BedScene, study: _Study, results: Sequence[PartResult], tell: Tell | None) -> Trim:
@@ -269,7 +267,7 @@ def _saving(result: PartResult) -> float:
 
 
 def _clash(one: Part, two: Part) -> bool:
-    keys = [{tuple(text.partition("=")[0].split(".")) for text in part.overrides} for part in (one, two)]
+    keys = [{tuple(key.split(".")) for key in part.changes} for part in (one, two)]
     return any(a[: len(b)] == b or b[: len(a)] == a for a in keys[0] for b in keys[1])
 
 
@@ -317,8 +315,11 @@ def _suspicion(metrics: Sequence[str]) -> Callable[[PartResult], float]:
 
 
 def _all_of(name: str, parts: Iterable[Part], model: str) -> Variant:
-    overrides = tuple(text for part in parts for text in part.overrides)
-    return Variant(name=name, model=_model_of(parts, model), overrides=overrides)
+    return Variant(name=name, model=_model_of(parts, model), changes=_changes(parts))
+
+
+def _changes(parts: Iterable[Part]) -> dict[str, Any]:
+    return {key: value for part in parts for key, value in part.changes.items()}
 
 
 def _model_of(parts: Iterable[Part], model: str) -> str:
@@ -326,8 +327,8 @@ def _model_of(parts: Iterable[Part], model: str) -> str:
 
 
 def _trimmed(scene: Scene | BedScene, study: _Study, without: Sequence[Part]) -> Scene | BedScene:
-    overrides = [text for part in without for text in part.overrides]
-    trimmed = load_case(study.path, overrides=overrides) if overrides else scene
+    changes = _changes(without)
+    trimmed = load_case(study.path, overrides=texts(changes)) if changes else scene
     said = f"trimmed: without {', '.join(part.text for part in without)}" if without else "trimmed: nothing left out"
     title = f"{scene.title}, {said}" if scene.title else said.capitalize()
     return replace(trimmed, name=scene.name, title=title[:_LONGEST_TITLE])
