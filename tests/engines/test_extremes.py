@@ -73,7 +73,7 @@ def codes(scene: Scene) -> set[str]:
     for model in plan(scene).values():
         found |= {finding.code for finding in check(model)}
         found |= {code for contact in model.contacts.values() for code in contact.warnings}
-    assert warnings_of(plan(scene)) or not found
+    assert warnings_of(plan(scene)) or not found - {"attraction"}  # that is left to the tables
     return found
 
 
