@@ -4,7 +4,8 @@
     python docs/make_reference.py --check    # say which are out of date (exit code 1)
 
 In a page, what stands between ``<!-- table: MODULE.NAME -->`` and ``<!-- end -->`` is made from that object: the keys
-of a table of the schema, the options of methods, or the metrics of a registry. All else is written by hand.
+of a table of the schema, the options of methods, or the metrics of runs that record these things. All
+else is written by hand.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import importlib
 import json
 import re
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from types import NoneType
 from typing import Any, Literal, get_args, get_origin
@@ -28,6 +29,7 @@ from kncal.core.checks import Range
 from kncal.physics.material import RANGES
 from kncal.physics.methods import METHODS, OPTIONS
 from kncal.scene.case_schema import MEASURED, MaterialTable
+from kncal.scene.metrics import METRICS, offered
 
 PAGES = ("docs/case-file.md", "docs/bed-case-file.md")
 MARKED = re.compile(r"(<!-- table: ([\w.]+) -->\n).*?(<!-- end -->)", re.S)
@@ -125,9 +127,10 @@ def options() -> str:
     return table(("method", "option", "default", "range"), rows)
 
 
-def metrics(registry: Mapping[str, tuple[str, str]]) -> str:
-    """Return the metrics of a registry."""
-    return table(("metric", "what"), ((f"`{name}`", f"{what} [{unit}]") for name, (unit, what) in registry.items()))
+def metrics(recorded: Iterable[str]) -> str:
+    """Return kncal's own metrics of a run that records ``recorded``."""
+    own = (METRICS[name] for name in offered(tuple(recorded)) if not METRICS.source(name))
+    return table(("metric", "what"), ((f"`{metric.name}`", f"{metric.text} [{metric.unit}]") for metric in own))
 
 
 def make(page: Path) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kncal.observe.bed_compare import BedRunData
+from kncal.observe.run_data import BedRunData
 from kncal.physics.material import Material
 from kncal.record.facts import bed_facts
 from kncal.record.outcome import RunResult

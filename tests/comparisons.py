@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from models import R, model, on_wall
 
-from kncal.observe.compare import RunData
 from kncal.observe.contacts import Observations
+from kncal.observe.run_data import RunData
 from kncal.record.frames import Trajectory
 from kncal.record.outcome import RunResult
 

@@ -12,10 +12,7 @@ ROOMS = ("core", "physics", "scene", "record", "engines", "observe", "report", "
 #: Beyond that: what observes and reports knows no engine; studies take whatever can be run.
 FORBIDDEN = {("observe", "engines"), ("report", "engines"), ("study", "exchange")}
 #: Imports that still point the wrong way; the list only gets shorter.
-TODAY = {
-    ("observe.impact_speeds", "report.plots"),
-    ("observe.softness", "study.trade.trade"),
-}
+TODAY: set[tuple[str, str]] = set()
 
 
 def modules() -> dict[str, Path]:

@@ -14,7 +14,6 @@ from kncal.cli.flags import CaseFlags, Flags, Json, ModelChoice, RanksFlags, Tim
 from kncal.core.errors import InputError
 
 if TYPE_CHECKING:
-    from kncal.observe.bed_compare import BedComparison
     from kncal.observe.compare import Comparison
     from kncal.record.outcome import RunResult
 
@@ -183,7 +182,7 @@ def report(folder: Path, *, out: Annotated[Path | None, Parameter(name="--out")]
             "writes its report again, and runs nothing that is done"
         )
     comparison, page = compare_case(folder, out)
-    for sentence in comparison.sentences:
+    for sentence in comparison.verdict.all:
         show.say(sentence)
     show.say(f"report: {page}")
 
@@ -251,20 +250,22 @@ def _print_results(case: str, results: dict[str, RunResult], metrics: dict[str, 
     show.table(f"{case} by {next(iter(results.values())).engine}", ["", *results], rows)
 
 
-def _print_comparison(comparison: Comparison | BedComparison) -> None:
+def _print_comparison(comparison: Comparison[Any]) -> None:
+    """Print the rows and the verdict; the unit of a row is that of its numbers."""
+    from kncal.observe.row import difference_text
+
     rows = []
     for row in comparison.rows:
         tolerance = "" if row.tolerance is None else f"{100.0 * row.tolerance:g} %"
-        widths = getattr(row, "linear_uncertainty", None), getattr(row, "hertz_uncertainty", None)
         values = [
-            show.quantity(value, row.unit, 5) + ("" if width is None else f" ± {show.quantity(width, row.unit, 2)}")
-            for value, width in zip((row.linear, row.hertz), widths, strict=True)
+            show.quantity(side.value, row.unit, 5)
+            + ("" if side.width is None or side.value is None else f" ± {show.quantity(side.width, row.unit, 2)}")
+            for side in (row.run, row.reference)
         ]
-        rows.append([row.metric, *values, show.percent(row.difference), tolerance, row.verdict])
+        rows.append([row.metric, *values, difference_text(row), tolerance, row.verdict])
     for name, unit in (("steps", ""), ("dt", "s"), ("cpu_seconds", "s")):
-        costs = [getattr(getattr(cost, "dem", cost), name) for cost in comparison.costs]
-        rows.append([name, *(show.quantity(cost, unit) for cost in costs), "", "", ""])
+        rows.append([name, *(show.quantity(getattr(cost, name), unit) for cost in comparison.costs), "", "", ""])
     columns = ["metric", "linear", "hertz", "difference", "tolerance", ""]
-    show.table(f"{comparison.hertz.model.scene.name}: linear against Hertz", columns, rows)
-    for sentence in comparison.sentences:
+    show.table(f"{comparison.reference.model.scene.name}: linear against Hertz", columns, rows)
+    for sentence in comparison.verdict.all:
         show.say(sentence)

@@ -50,6 +50,7 @@ def trim(
     """
     from kncal.observe.tolerances import parse_tolerances
     from kncal.scene.bed_scene import BedScene
+    from kncal.scene.metrics import COUPLED, FEW_PARTICLES
     from kncal.study.trim.report import write_trim
     from kncal.study.trim.workflow import TrimOptions
     from kncal.study.trim.workflow import trim as run_trim
@@ -60,7 +61,7 @@ def trim(
     options = TrimOptions(
         model=model,
         overrides=tuple(at.overrides or ()),
-        tolerances=parse_tolerances(tolerance or (), bed=isinstance(scene, BedScene)),
+        tolerances=parse_tolerances(tolerance or (), COUPLED if isinstance(scene, BedScene) else FEW_PARTICLES),
         parts=None if parts is None else tuple(name.strip() for name in parts.split(",")),
         rounds=rounds,
         engine=by.engine,

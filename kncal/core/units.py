@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -44,3 +46,15 @@ def percent(share: float | None) -> str:
         return "–"
     # rounding of the frames' digits, not a difference
     return f"{100.0 * share:+.3g} %" if abs(share) >= 1e-7 else "0 %"
+
+
+def plus_minus(value: float, width: float, *, signed: bool = False) -> str:
+    """Return "105.3 ± 1.2": two digits of the width, and the value to the same decimals."""
+    sign = "+" if signed else ""
+    if width <= 1e-9 * abs(value):  # rounding
+        return f"{value:{sign}.4g} ± 0"
+    decimals = 1 - math.floor(math.log10(width))
+    if decimals > 6:  # both are mostly zeros
+        return f"{value:{sign}.4g} ± {width:.2g}"
+    places = max(decimals, 0)
+    return f"{round(value, places) + 0.0:{sign}.{places}f} ± {width:.{places}f}"  # + 0.0: no "-0.0"

@@ -36,8 +36,8 @@ from kncal.observe.signals import (
 )
 from kncal.physics.statistics import LONG_START_UP, MIN_SAMPLES, Average, average, average_of_samples, start_up
 from kncal.record.series import BedSeries
-from kncal.scene.bed_metrics import why_not
 from kncal.scene.bed_scene import Gas
+from kncal.scene.metrics import why_not
 
 #: Signals whose start-ups are detected; the longest is left out of everything.
 START_UP_OF = ("p_in", "floor", "z_mean", "kinetic_energy")
@@ -55,12 +55,11 @@ class BedObservations:
 
     Attributes
     ----------
-    kind : one of `kncal.scene.bed_metrics.KINDS_OF_BEDS`; changes : whether the gas velocity changes after ``begin``
+    kind : one of `kncal.scene.metrics.KINDS_OF_BEDS`; changes : whether the gas velocity changes after ``begin``
     begin : start-up left out before this time [s]
     begin_by : "given", or the signal of `START_UP_OF` that took longest to settle; "given" too where nothing is left
         out: of a single particle, a frozen bed and a ramp
-    averages : name -> Average; names and units of `kncal.scene.bed_metrics.BED_METRICS`, and "z_twice" (twice the mean
-        height [m])
+    averages : name -> Average; names and units of `kncal.scene.metrics.METRICS`
     missing : name -> why there is none
     balance : Balance or None; spectrum : Spectrum or None; overlaps : OverlapStatistics or None
     eps_g : (nz, ny, nx) time mean void fraction, or None
@@ -116,7 +115,6 @@ def observe_bed(series: BedSeries, discard: float | None = None, gas: Gas | None
         found.rows("floor_share", series.floor / facts.weight, frozen)
     for name in ("z_mean", "z_95", "kinetic_energy"):
         found.rows(name, getattr(series, name))
-    found.rows("z_twice", 2.0 * series.z_mean)
     for name in ("overlap_mean", "contacts"):
         found.rows(name, getattr(series, name), frozen)
     spectrum = found.attempt("dominant_frequency", lambda: pressure_spectrum(series, begin))

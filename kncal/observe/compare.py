@@ -1,132 +1,106 @@
-"""Linear against Hertz: the differences of two runs of one scene, and whether they are within the tolerances.
+"""A run against its reference, linear against Hertz: the differences, and whether they are within the tolerances.
 
-What belongs to the contact model and what belongs to the time step are kept apart: next to every difference
-stands the difference of the two exact solutions and the predicted discretisation error, where they are known.
+What belongs to the contact model and what belongs to the time step are kept apart: a single contact has its predicted
+discretisation error beside each difference, and the difference of the two exact solutions where they are known. Two
+beds are chaotic: their averages are compared, with confidence intervals, never their histories.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 
-from kncal.core.checks import Array
 from kncal.core.errors import InputError, RunError
-from kncal.observe.cost import Cost, Speed, cost, speed
-from kncal.observe.difference import Difference, Side, difference, finite, metric_names, path_difference, scale_of
-from kncal.observe.verdict import sentences
-from kncal.record.frames import Trajectory
-from kncal.record.outcome import RunResult
+from kncal.observe.averages import BedObservations
+from kncal.observe.cost import Cost, Speed, speed
+from kncal.observe.difference import Run, finite, rows_between, scale_of
+from kncal.observe.estimate import Estimate
+from kncal.observe.invariants import Invariant, invariants
+from kncal.observe.known import known_answers
+from kncal.observe.row import COLUMNS, Row, needed_end
+from kncal.observe.run_data import BedRunData, RunData
+from kncal.observe.verdict import Verdict, verdict
 from kncal.scene.limits import no_contact
-from kncal.scene.metrics import ExactRow, MetricRow, judge, metric_order, metric_unit
-from kncal.scene.model import Model
+from kncal.scene.metrics import metric_order, metric_text, metric_unit
+from kncal.scene.model import BedModel, Model
 from kncal.scene.species import listed
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from kncal.observe.contacts import Observations
+R = TypeVar("R", RunData, BedRunData)
 
 #: A deviation up to this many times the predicted error counts as explained: the prediction is the worst of
 #: sampled sub-step phases, the run has a phase of its own.
 PREDICTION_MARGIN = 1.1
-
-
-class ExactMotion(Protocol):
-    """The exact motion of a model, as `kncal.scene.exact.solve` returns it."""
-
-    def at(self, times: Array) -> tuple[Array, Array]:
-        """Positions [m] and velocities [m/s], each (times, particles, 3), at ``times`` [s]."""
-        ...
+#: What two runs of one scene share.
+_SCENE = ("particles", "walls", "column", "gas", "gravity")
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunData:
-    """One completed run with everything read from it.
+class Comparison(Generic[R]):
+    """The verdict on a run and its reference; made by `compare`.
 
     Attributes
     ----------
-    model, result, trajectory, observations : what was run, how it ended, its frames, its numbers
-    exact : metric -> value of the exact solution of the same model [SI], or None
-    predicted : metric -> predicted relative discretisation error at this dt (worst phase) [-], or None
-    motion : the exact motion of the same model, for figures, or None
-    cpu_samples : CPU seconds of repeated runs of the same input; empty: only ``result.cpu_seconds``
+    run, reference : both RunData, or both BedRunData
+    rows : one Row per metric
+    exact : each run against the exact solution of its own model, where it is known: ``reference`` is exact, the
+        width of its ``difference`` the predicted discretisation error, its verdict "ok" if that explains it
+    known : each run against the answers that theory gives, where it gives any
+    invariants : what must hold in each run, with its limit
+    speed : reference over run
+    verdict : in words
     """
 
-    model: Model
-    result: RunResult
-    trajectory: Trajectory
-    observations: Observations
-    exact: Mapping[str, float] | None = None
-    predicted: Mapping[str, float] | None = None
-    motion: ExactMotion | None = None
-    cpu_samples: tuple[float, ...] = ()
-
-
-@dataclass(frozen=True, kw_only=True)
-class Comparison:
-    """The verdict on two runs; made by `compare`.
-
-    Attributes
-    ----------
-    linear, hertz : RunData
-    rows : one MetricRow per metric, and ``trajectory``, ``trajectory_rms``
-    exact : one ExactRow per run and metric with an exact value
-    costs : (linear, hertz)
-    speed : Speed
-    trajectory_scale, trajectory_basis : length [m] by which the trajectory rows are divided, and what it is
-    common_time : time span [s] covered by both runs, over which the trajectories are compared
-    """
-
-    linear: RunData
-    hertz: RunData
-    rows: tuple[MetricRow, ...]
-    exact: tuple[ExactRow, ...]
-    costs: tuple[Cost, Cost]
+    run: R
+    reference: R
+    rows: tuple[Row, ...]
+    exact: tuple[Row, ...]
+    known: tuple[Row, ...]
+    invariants: tuple[Invariant, ...]
     speed: Speed
-    trajectory_scale: float
-    trajectory_basis: str
-    common_time: tuple[float, float]
+    verdict: Verdict
+
+    @property
+    def runs(self) -> tuple[R, R]:
+        """The run and its reference."""
+        return self.run, self.reference
+
+    @property
+    def costs(self) -> tuple[Cost, Cost]:
+        """Of the run and its reference."""
+        return self.run.cost, self.reference.cost
+
+    @property
+    def state(self) -> str:
+        """The verdict in a word: "within", "outside", "undecided", or "open" if nothing is judged."""
+        return self.verdict.state
 
     @property
     def within(self) -> bool:
-        """Whether every metric with a tolerance could be computed and is within it (True if none has one)."""
-        return not self.failures
+        """Whether every metric with a tolerance is within it for certain, and every known answer is met."""
+        return self.state in ("within", "open")
 
     @property
-    def judged(self) -> tuple[MetricRow, ...]:
+    def judged(self) -> tuple[Row, ...]:
         """The rows with a tolerance."""
         return tuple(r for r in self.rows if r.tolerance is not None)
 
     @property
-    def failures(self) -> tuple[MetricRow, ...]:
-        """The rows that are outside their tolerance or have one and could not be computed."""
-        return tuple(r for r in self.rows if r.verdict in ("outside", "missing"))
+    def needed_end(self) -> float | None:
+        """run.end_time that would decide all undecided rows [s]; None if there is none, or it is out of reach."""
+        return needed_end(self.rows)
 
     @property
     def limits(self) -> tuple[tuple[str, str], ...]:
         """What limits the contacts that happened: (warning code, sentence with its pairs), each once."""
-        met = {event.pair for data in (self.linear, self.hertz) for event in data.observations.contacts}
-        pairs: dict[tuple[str, str], list[str]] = {}
-        for data in (self.linear, self.hertz):
-            for pair in sorted(met):
-                for warning in data.model.between(*pair).warnings.items():
-                    names = pairs.setdefault(warning, [])
-                    names.extend({"–".join(pair)} - set(names))
-        texts = [(code, f"{listed(names)}: {text}") for (code, text), names in pairs.items()]
-        if not met:
-            texts.append(("no-contact", no_contact(self.linear.model, self.hertz.model)))
-        return tuple(texts)
+        return _limits(self.runs)
 
-    @property
-    def sentences(self) -> tuple[str, ...]:
-        """The verdict in words: what was compared and judged, what was saved, and what to keep in mind."""
-        models = (self.linear.model, self.hertz.model)
-        return sentences(models, self.rows, self.exact, self.costs, self.speed, self.limits)
-
-    def row(self, metric: str) -> MetricRow:
+    def row(self, metric: str) -> Row:
         """Return the row of ``metric``; raises `InputError` if there is none."""
         for row in self.rows:
             if row.metric == metric:
@@ -134,160 +108,182 @@ class Comparison:
         raise InputError(f"metric = {metric!r}: expected one of {', '.join(r.metric for r in self.rows)}")
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything but the frames, as plain JSON types (no NaN)."""
+        """Everything but frames and series, as plain JSON types (no NaN); the same keys for every kind of run."""
+        scene = self.reference.model.scene
         return {
-            "case": self.hertz.model.scene.name,
-            "title": self.hertz.model.scene.title,
+            "case": scene.name,
+            "title": scene.title,
             "within": self.within,
-            "verdict": list(self.sentences),
-            "models": {"linear": _contacts(self.linear.model), "hertz": _contacts(self.hertz.model)},
-            "rows": [asdict(r) for r in self.rows],
-            "exact": [asdict(r) for r in self.exact],
-            "costs": [asdict(c) for c in self.costs],
+            "state": self.state,
+            "needed_end": self.needed_end,
+            "verdict": self.verdict.sentence,
+            "points": list(self.verdict.points),
+            "details": list(self.verdict.details),
+            "rows": [r.to_dict() for r in self.rows],
+            "exact": [r.to_dict() for r in self.exact],
+            "known": [r.to_dict() for r in self.known],
+            "invariants": [asdict(i) for i in self.invariants],
+            "theory": {r.model.kind: _theory(r.seen) for r in _beds(self.runs)},
+            "costs": [{**asdict(c), "total": c.total} for c in self.costs],
             "speed": {**asdict(self.speed), "caveats": list(self.speed.caveats)},
-            "trajectory": {
-                "scale": self.trajectory_scale,
-                "basis": self.trajectory_basis,
-                "common_time": list(self.common_time),
-            },
+            "windows": {r.model.kind: _window(r) for r in self.runs},
+            "models": {r.model.kind: _contacts(r.model) for r in self.runs},
         }
 
     def to_frame(self) -> pd.DataFrame:
-        """One row per metric; the columns are the fields of `MetricRow`."""
+        """One row per metric; the columns are `kncal.observe.row.COLUMNS`."""
         import pandas as pd
 
-        return pd.DataFrame([asdict(r) for r in self.rows], columns=list(MetricRow.__dataclass_fields__))
+        return pd.DataFrame([r.to_dict() for r in self.rows], columns=list(COLUMNS))
 
 
-def compare(linear: RunData, hertz: RunData, tolerances: Mapping[str, float] | None = None) -> Comparison:
-    """Compare a linear run with a Hertz run of the same scene.
+def compare(run: R, reference: R, tolerances: Mapping[str, float] | None = None) -> Comparison[R]:
+    """Compare a run, the linear one, with its reference, the Hertz run of the same scene.
 
-    Differences are relative to the Hertz value. Where that is zero (below 1e-12 of the metric's natural
-    scale: 1 for ratios, the largest Hertz speed for speeds, the extent of the Hertz motion for heights, ...)
-    the difference is absolute, divided by that scale; ``basis`` says which. ``trajectory`` is the largest
-    distance between the same particle in the two runs at equal times, ``trajectory_rms`` its root mean square
-    over time and particles, both divided by the extent of the motion: the largest diagonal of a box that
-    holds the path of one particle's centre in the Hertz run (by the smallest radius if nothing moves).
-    Between frames the motion is the cubic Hermite interpolant of positions and velocities, exact in flight.
+    Differences are relative to the reference. Where that is zero (for single contacts: below 1e-12 of the metric's
+    natural scale: 1 for ratios, the largest speed for speeds, the extent of the motion for heights, ...) the difference
+    is absolute, divided by that scale; ``basis`` says which. ``trajectory`` is the largest distance between the same
+    particle in the two runs at equal times, ``trajectory_rms`` its root mean square over time and particles, both
+    divided by the extent of the motion: the largest diagonal of a box that holds the path of one particle's centre in
+    the reference (by the smallest radius if nothing moves). Between frames the motion is the cubic Hermite interpolant
+    of positions and velocities, exact in flight.
+
+    Each bed is averaged after its own start-up (``run.discard`` of its scene, or as detected). A tolerance is met if
+    the whole interval of the difference is within it, see `kncal.observe.row.judge`.
 
     Parameters
     ----------
-    linear, hertz : RunData
-    tolerances : metric -> largest allowed abs(difference) [-]; None: those of the Hertz run's scene.
-        One for a metric that cannot be computed makes the comparison fail.
+    run, reference : RunData, or BedRunData
+    tolerances : metric -> largest allowed abs(difference) [-]; None: those of the reference's scene. One for a metric
+        that cannot be computed makes the comparison fail.
 
     Raises
     ------
     RunError
-        If a run did not complete.
+        If a run did not complete, or that of a bed has no split of the cost.
     InputError
-        If the runs are not of the same bodies, or a tolerance is not a finite number >= 0.
+        If the runs are not of the same scene, too short for any average, or a tolerance is not a finite number >= 0.
     """
-    for kind, data in (("linear", linear), ("hertz", hertz)):
+    same = run.model.kind == reference.model.kind
+    names = ("run", "reference") if same else (run.model.kind, reference.model.kind)
+    for name, data in zip(names, (run, reference), strict=True):
         if data.result.status != "completed":
             raise RunError(
-                f"the {kind} run in {data.result.folder} ended as {data.result.status!r}"
+                f"the {name} run in {data.result.folder} ended as {data.result.status!r}"
                 f" ({data.result.message or 'no message'}): only completed runs can be compared; run it again"
             )
-    _same_bodies(linear, hertz)
-    limits = dict(hertz.model.scene.tolerances if tolerances is None else tolerances)
+    _same_scene(run, reference)
+    limits = dict(reference.model.scene.tolerances if tolerances is None else tolerances)
     for name, limit in limits.items():
         if isinstance(limit, bool) or not isinstance(limit, int | float) or not 0.0 <= limit < np.inf:
             raise InputError(f"tolerances: {name} = {limit!r}: expected a finite number >= 0, 0.05 means 5 %")
-
-    sides = Side("linear", linear), Side("hertz", hertz)
-    paths = path_difference(linear.trajectory, hertz.trajectory)
-    rows = [_row(difference(name, *sides), limits.get(name)) for name in metric_names(linear, hertz, limits)]
-    rows += [_row(row, limits.get(row.metric)) for row in paths.rows]
-    costs = (_cost("linear", linear), _cost("hertz", hertz))
+    rows = rows_between(run, reference, limits, names)
+    saved = speed(run.cost, reference.cost)
+    beds = _beds((run, reference))
+    exact = tuple(row for each in (run, reference) for row in _exact_rows(each))
+    known = tuple(a for each in beds for a in known_answers(each.model.kind, each.seen, each.model.scene.gas))
+    kept = invariants(*beds) if len(beds) == 2 else ()
     return Comparison(
-        linear=linear,
-        hertz=hertz,
-        rows=tuple(rows),
-        exact=(*_exact_rows("linear", linear), *_exact_rows("hertz", hertz)),
-        costs=costs,
-        speed=speed(*costs),
-        trajectory_scale=paths.scale,
-        trajectory_basis=paths.basis,
-        common_time=paths.common_time,
+        run=run,
+        reference=reference,
+        rows=rows,
+        exact=exact,
+        known=known,
+        invariants=kept,
+        speed=saved,
+        verdict=verdict((run, reference), rows, exact, known, kept, saved, _limits((run, reference))),
     )
 
 
-def _same_bodies(linear: RunData, hertz: RunData) -> None:
-    a, b = linear.model.scene, hertz.model.scene
-    for what, left, right in (
-        ("particles", a.particles, b.particles),
-        ("walls", a.walls, b.walls),
-        ("gravity", a.gravity, b.gravity),
-    ):
-        if left != right:
-            raise InputError(
-                f"the runs in {linear.result.folder} and {hertz.result.folder} differ in their {what}:"
-                " only runs of the same scene can be compared"
-            )
-    if linear.trajectory.names != hertz.trajectory.names:
+def _same_scene(run: Run, reference: Run) -> None:
+    a, b = run.model.scene, reference.model.scene
+    differing = [name for name in _SCENE if getattr(a, name, None) != getattr(b, name, None)]
+    if differing:
         raise InputError(
-            f"the recorded particles differ: {linear.trajectory.names} and {hertz.trajectory.names};"
+            f"the runs in {run.result.folder} and {reference.result.folder} differ in their {', '.join(differing)}:"
+            " only runs of the same scene can be compared"
+        )
+    if (
+        isinstance(run, RunData)
+        and isinstance(reference, RunData)
+        and run.trajectory.names != reference.trajectory.names
+    ):
+        raise InputError(
+            f"the recorded particles differ: {run.trajectory.names} and {reference.trajectory.names};"
             " expected the same in both runs"
         )
 
 
-def _row(found: Difference, tolerance: float | None) -> MetricRow:
-    """Judge a difference of the linear run (its ``value``) from the Hertz run."""
-    reason, numerical = found.reason, found.numerical
-    # Worth a word only where it decides: a difference far outside is no matter of steps, and none at all is no matter.
-    size = 0.0 if found.difference is None else abs(found.difference)
-    if tolerance is not None and numerical is not None and 0.0 < size <= tolerance + numerical < 2.0 * numerical:
-        reason = "the tolerance is tighter than the discretisation error: take more steps per contact"
-    return judge(
-        found.metric,
-        found.value,
-        found.reference,
-        found.difference,
-        basis=found.basis,
-        tolerance=tolerance,
-        exact_difference=found.exact_difference,
-        numerical=numerical,
-        reason=reason,
-    )
+def _beds(runs: Iterable[Run]) -> list[BedRunData]:
+    return [run for run in runs if isinstance(run, BedRunData)]
 
 
-def _exact_rows(kind: str, data: RunData) -> list[ExactRow]:
-    rows = []
-    values = data.exact or {}
+def _exact_rows(data: Run) -> list[Row]:
+    rows, values = [], data.exact or {}
     for name in sorted(values, key=metric_order):
-        exact = finite(values[name])
+        exact, found = finite(values[name]), data.estimate(name)
         if exact is None:
+            kind = data.model.kind
             raise InputError(f"exact solution of the {kind} model: {name} = {values[name]}: expected a finite number")
-        value = finite(data.observations.metrics.get(name))
         scale, basis = scale_of(name, exact, "exact", data)
-        deviation = None if value is None or scale is None else (value - exact) / scale
+        deviation = None if found.value is None or scale is None else (found.value - exact) / scale
         predicted = finite((data.predicted or {}).get(name))
-        explained = None
+        explained = "-"
         if deviation is not None and predicted is not None:
-            explained = abs(deviation) <= PREDICTION_MARGIN * predicted
-        rows.append(
-            ExactRow(
-                model=kind,
-                metric=name,
-                unit=metric_unit(name),
-                value=value,
-                exact=exact,
-                deviation=deviation,
-                basis=basis,
-                predicted=predicted,
-                explained=explained,
-            )
+            explained = "ok" if abs(deviation) <= PREDICTION_MARGIN * predicted else "outside"
+        row = Row(
+            metric=name,
+            unit=metric_unit(name),
+            text=metric_text(name),
+            run=found,
+            reference=Estimate(value=exact, width=0.0),
+            difference=Estimate(value=deviation, width=predicted),
+            scale=scale,
+            basis=basis,
+            verdict=explained,
+            model=data.model.kind,
         )
+        rows.append(row)
     return rows
 
 
-def _cost(kind: str, data: RunData) -> Cost:
-    durations = [contact.t_c for contact in data.model.contacts.values()]
-    return cost(kind, data.result, durations, data.cpu_samples)
+def _limits(runs: tuple[Run, ...]) -> tuple[tuple[str, str], ...]:
+    few = [run for run in runs if isinstance(run, RunData)]
+    met = {event.pair for data in few for event in data.observations.contacts}
+    pairs: dict[tuple[str, str], list[str]] = {}
+    for data in few:
+        for pair in sorted(met):
+            for warning in data.model.between(*pair).warnings.items():
+                names = pairs.setdefault(warning, [])
+                names.extend({"–".join(pair)} - set(names))
+    texts = [(code, f"{listed(names)}: {text}") for (code, text), names in pairs.items()]
+    if few and not met:
+        texts.append(("no-contact", no_contact(*(data.model for data in few))))
+    return tuple(texts)
 
 
-def _contacts(model: Model) -> list[dict[str, Any]]:
+def _window(run: Run) -> dict[str, Any]:
+    """The times [s] that the numbers of a run are of."""
+    if isinstance(run, RunData):
+        return {"begin": float(run.trajectory.t[0]), "begin_by": "given", "end": float(run.trajectory.t[-1])}
+    return {"begin": run.seen.begin, "begin_by": run.seen.begin_by, "end": float(run.series.t[-1])}
+
+
+def _theory(seen: BedObservations) -> dict[str, Any]:
+    """What is compared with a theory, as plain numbers: of single particles, frozen beds and ramps."""
+    curve = None
+    if seen.curve is not None:
+        curve = asdict(seen.curve)
+        for branch in (curve["rising"], curve["falling"]):
+            branch |= {name: branch[name].tolist() for name in ("U_0", "drop")}
+    return {
+        "final": None if seen.final is None else asdict(seen.final),
+        "plateaus": [asdict(p) for p in seen.plateaus],
+        "curve": curve,
+    }
+
+
+def _contacts(model: Model | BedModel) -> list[dict[str, Any]]:
     """The contacts for the JSON file; pairs that are alike once, with their number."""
     return [
         {

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from kncal.core.checks import in_range
-from kncal.core.errors import InputError
+from kncal.core.errors import InputError, RunError
 from kncal.record.outcome import RunResult
 
 #: Below this CPU time [s] a ratio of costs is not to be trusted (starting LIGGGHTS alone takes about 0.1 s).
@@ -17,20 +17,25 @@ CPU_TRUSTED = 1.0
 #: Below this CPU time [s] a run is mostly the solver's start: no ratio is given.
 CPU_MEASURABLE = 0.2
 
+#: What `RunResult.extra` of a run with gas must hold, CPU times in s.
+EXTRA = ("transport", "cpu_dem", "cpu_gas", "cpu_exchange")
+
 
 @dataclass(frozen=True, kw_only=True)
 class Cost:
-    """What one model's run cost.
+    """What one run cost.
 
     Attributes
     ----------
-    model : "linear" or "hertz"
+    model : contact model
     engine, version : of the solver
-    steps, dt : number of steps and time step [s]
+    steps, dt : number of steps of the particles and time step [s]
     steps_per_contact : shortest planned contact duration over dt [-], None without contacts
-    cpu_seconds, cpu_low, cpu_high : median, smallest and largest CPU time of ``runs`` runs [s]
+    cpu_seconds, cpu_low, cpu_high : of the particles: median, smallest and largest CPU time of ``runs`` runs [s]
+    gas, exchange : CPU time of the gas, and of all that is neither particles nor gas [s]
     wall_seconds : of the run that was read [s]
-    cpu_per_step : cpu_seconds/steps [s]
+    transport : how gas and particles exchange, "" without gas
+    couplings, coupling : their number, and the interval [s]
     """
 
     model: str
@@ -44,17 +49,45 @@ class Cost:
     cpu_high: float
     runs: int
     wall_seconds: float
-    cpu_per_step: float
+    gas: float = 0.0
+    exchange: float = 0.0
+    transport: str = ""
+    couplings: int = 0
+    coupling: float = 0.0
+
+    @property
+    def cpu_per_step(self) -> float:
+        """CPU time of the particles per step [s]."""
+        return self.cpu_seconds / self.steps
+
+    @property
+    def total(self) -> float:
+        """CPU time of all processes together [s]."""
+        return self.cpu_seconds + self.gas + self.exchange
+
+    @property
+    def simulated(self) -> float:
+        """Simulated time [s]."""
+        return self.couplings * self.coupling if self.couplings else self.steps * self.dt
+
+    @property
+    def exchange_share(self) -> float | None:
+        """Share of the total that is neither solver [-]; None for a run that took no time."""
+        return self.exchange / self.total if self.total > 0.0 else None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Speed:
-    """What the linear run saves: Hertz over linear, in steps and in CPU time (with its range, or None)."""
+    """What a run saves: reference over run, in steps and in CPU time of the particles (with its range) and in total.
+
+    CPU times are None where they are too short to tell.
+    """
 
     steps: float
     cpu: float | None
     cpu_low: float | None
     cpu_high: float | None
+    total: float | None = None
     caveats: tuple[str, ...] = ()
 
 
@@ -69,7 +102,6 @@ def cost(model: str, result: RunResult, durations: Sequence[float], cpu_samples:
     if result.steps < 1:
         raise InputError(f"the {model} run in {result.folder} has {result.steps} steps: expected at least 1")
     samples = in_range(f"CPU seconds of the {model} run", list(cpu_samples) or [result.cpu_seconds], 0.0, np.inf)
-    median = float(np.median(samples))
     return Cost(
         model=model,
         engine=result.engine,
@@ -77,43 +109,66 @@ def cost(model: str, result: RunResult, durations: Sequence[float], cpu_samples:
         steps=result.steps,
         dt=float(result.dt),
         steps_per_contact=float(min(durations) / result.dt) if durations else None,
-        cpu_seconds=median,
+        cpu_seconds=float(np.median(samples)),
         cpu_low=float(samples.min()),
         cpu_high=float(samples.max()),
         runs=int(samples.size),
         wall_seconds=float(result.wall_seconds),
-        cpu_per_step=median / result.steps,
     )
 
 
-def speed(linear: Cost, hertz: Cost) -> Speed:
-    """What ``linear`` saves against ``hertz``, with everything that makes the numbers doubtful."""
+def coupled_cost(model: str, result: RunResult, durations: Sequence[float], couplings: int, coupling: float) -> Cost:
+    """Return the cost of a completed run with gas, of so many ``couplings`` of ``coupling`` s.
+
+    Raises
+    ------
+    RunError
+        If the result lacks one of `EXTRA`.
+    """
+    if lacking := [name for name in EXTRA if name not in result.extra]:
+        raise RunError(
+            f"result of {result.folder}: {', '.join(lacking)} missing in 'extra'; expected the result of a bed run"
+        )
+    particles, gas, exchange = (float(result.extra[name]) for name in ("cpu_dem", "cpu_gas", "cpu_exchange"))
+    return replace(
+        cost(model, replace(result, cpu_seconds=particles), durations),
+        gas=gas,
+        exchange=exchange,
+        transport=str(result.extra["transport"]),
+        couplings=couplings,
+        coupling=coupling,
+    )
+
+
+def speed(run: Cost, reference: Cost) -> Speed:
+    """What ``run`` saves against ``reference``, with everything that makes the numbers doubtful."""
     caveats = []
-    jumping = "builtin" in (linear.engine, hertz.engine)
+    jumping = "builtin" in (run.engine, reference.engine)
     if jumping:
         caveats.append(
             "The builtin engine jumps over free flight in closed form: its CPU time says nothing about a solver's."
         )
-    known = min(linear.cpu_low, hertz.cpu_low) >= CPU_MEASURABLE and not jumping
-    if known and min(linear.cpu_seconds, hertz.cpu_seconds) < CPU_TRUSTED:
+    known = min(run.cpu_low, reference.cpu_low) >= CPU_MEASURABLE and not jumping
+    if known and min(run.cpu_seconds, reference.cpu_seconds) < CPU_TRUSTED:
         caveats.append(
             f"A run below {CPU_TRUSTED:g} s of CPU is mostly the solver's start and the writing of frames:"
             " trust the ratio of steps, not the ratio of CPU times."
         )
-    if known and min(linear.runs, hertz.runs) == 1:
+    if known and min(run.runs, reference.runs) == 1:
         caveats.append("One run of each model was made: the spread of the CPU times is not known.")
-    if linear.engine != hertz.engine or linear.version != hertz.version:
+    if run.engine != reference.engine or run.version != reference.version:
         caveats.append("The two runs are by different engines or versions: their CPU times don't compare.")
-    n_l, n_h = linear.steps_per_contact, hertz.steps_per_contact
-    if n_l is not None and n_h is not None and abs(n_l - n_h) > 0.01 * n_h:
+    n, n_reference = run.steps_per_contact, reference.steps_per_contact
+    if n is not None and n_reference is not None and abs(n - n_reference) > 0.01 * n_reference:
         caveats.append(
-            f"The runs differ in steps per contact ({n_l:.3g} linear, {n_h:.3g} Hertz):"
+            f"The runs differ in steps per contact ({n:.3g} {run.model}, {n_reference:.3g} {reference.model}):"
             " the ratio of steps is not the gain of the softer spring alone."
         )
     return Speed(
-        steps=hertz.steps / linear.steps,
-        cpu=hertz.cpu_seconds / linear.cpu_seconds if known else None,
-        cpu_low=hertz.cpu_low / linear.cpu_high if known else None,
-        cpu_high=hertz.cpu_high / linear.cpu_low if known else None,
+        steps=reference.steps / run.steps,
+        cpu=reference.cpu_seconds / run.cpu_seconds if known else None,
+        cpu_low=reference.cpu_low / run.cpu_high if known else None,
+        cpu_high=reference.cpu_high / run.cpu_low if known else None,
+        total=reference.total / run.total if known else None,
         caveats=tuple(caveats),
     )

@@ -1,106 +1,68 @@
-"""How far one run is from another of the same bodies, metric by metric, each by its scale.
+"""How far one run is from another of the same scene, metric by metric: the rows of every comparison.
 
-Used for linear against Hertz (`kncal.observe.compare`), and for any contact against a reference (`kncal.study.trade`).
+Used for linear against Hertz (`kncal.observe.compare`), and for any run against a reference (`kncal.study`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from kncal.core.checks import Array
+from kncal.core.errors import InputError
 from kncal.core.units import quantity
-from kncal.observe.contacts import Observations
+from kncal.observe.averages import voidage_difference
+from kncal.observe.estimate import Estimate, apart, missing
+from kncal.observe.row import RMS, Row, judge
+from kncal.observe.run_data import BedRunData, RunData
 from kncal.record.frames import Trajectory
-from kncal.scene.metrics import metric_order, metric_unit
-from kncal.scene.model import Model
+from kncal.scene.metrics import METRICS, metric_order, metric_text, metric_unit
 
 #: A reference below this share of its natural scale counts as zero: a relative difference would be noise.
 NEGLIGIBLE = 1e-12
 
-#: The metrics that compare whole paths: the largest distance, and its root mean square.
+#: The metrics that compare whole paths: the largest distance, and its root mean square; and whole fields.
 PATHS = ("trajectory", "trajectory_rms")
+FIELDS = ("eps_g",)
 
-
-class Run(Protocol):
-    """What is needed of a run; `kncal.observe.compare.RunData` has it."""
-
-    @property
-    def model(self) -> Model:
-        """What was run."""
-        ...
-
-    @property
-    def trajectory(self) -> Trajectory:
-        """Its frames."""
-        ...
-
-    @property
-    def observations(self) -> Observations:
-        """Its numbers."""
-        ...
-
-    @property
-    def exact(self) -> Mapping[str, float] | None:
-        """Metrics of the exact solution of the same model, where it is known."""
-        ...
-
-    @property
-    def predicted(self) -> Mapping[str, float] | None:
-        """Predicted relative discretisation error of the metrics [-], where it is known."""
-        ...
-
-
-class Side(NamedTuple):
-    """A run and what it is called in messages."""
-
-    name: str
-    run: Run
-
-
-@dataclass(frozen=True, kw_only=True)
-class Difference:
-    """One metric of a run against a reference run.
-
-    Attributes
-    ----------
-    metric : name
-    value, reference : of the two runs [SI], None where there is none
-    difference : (value - reference)/scale [-], or None
-    scale : what a difference is divided by, in the metric's unit; None without a difference
-    basis : what the scale is
-    exact_difference : the same difference of the two exact solutions [-], or None
-    numerical : predicted discretisation error of the two runs together, as a share of the scale [-], or None
-    reason : why there is no difference
-    """
-
-    metric: str
-    value: float | None
-    reference: float | None
-    difference: float | None
-    scale: float | None
-    basis: str
-    exact_difference: float | None = None
-    numerical: float | None = None
-    reason: str = ""
+#: Any completed run.
+Run = RunData | BedRunData
 
 
 class PathDifference(NamedTuple):
     """How far two paths are apart: a row per name of `PATHS`, the length they are divided by, and over which time."""
 
-    rows: tuple[Difference, ...]
+    rows: tuple[Row, ...]
     scale: float
     basis: str
     common_time: tuple[float, float]
 
 
+def rows_between(
+    run: Run, reference: Run, tolerances: Mapping[str, float], names: tuple[str, str] = ("linear", "hertz")
+) -> tuple[Row, ...]:
+    """Return one row per metric that either run has, or that has a tolerance; ``names`` are those of the runs in texts.
+
+    ``tolerances``: metric -> largest allowed abs(difference) [-].
+    """
+    whole: dict[str, Row] = {}
+    if isinstance(run, RunData) and isinstance(reference, RunData):
+        whole = {row.metric: row for row in path_difference(run.trajectory, reference.trajectory).rows}
+    elif isinstance(run, BedRunData) and isinstance(reference, BedRunData):
+        whole = {name: field_row(name, run, reference) for name in FIELDS if reference.may_have(name)}
+    rows = (
+        whole[name] if name in whole else value_row(name, run, reference, names)
+        for name in metric_names(run, reference, (*tolerances, *whole))
+    )
+    return tuple(judge(row, tolerances.get(row.metric)) for row in rows)
+
+
 def metric_names(run: Run, reference: Run, more: Iterable[str] = ()) -> list[str]:
-    """Return every metric that either run has, and ``more``, by `metric_order`; without those of `PATHS`."""
-    names = {*reference.observations.metrics, *run.observations.metrics, *more}
-    return sorted(names - set(PATHS), key=metric_order)
+    """Return every metric that either run has, and ``more``, by `metric_order`."""
+    return sorted({*reference.estimates, *run.estimates, *more}, key=metric_order)
 
 
 def finite(value: float | None) -> float | None:
@@ -108,66 +70,91 @@ def finite(value: float | None) -> float | None:
     return None if value is None or not np.isfinite(value) else float(value)
 
 
-def difference(name: str, side: Side, reference: Side) -> Difference:
-    """Return the difference of one metric of ``side`` from ``reference``, by `scale_of` the reference's value."""
-    values, reasons = [], []
-    for label, run in (side, reference):
-        given = run.observations.metrics.get(name)
-        values.append(finite(given))
-        if given is None:
-            reasons.append(f"the {label} run has no {name}")
-        elif values[-1] is None:
-            reasons.append(f"{name} of the {label} run is not finite")
-    a, b = values
-    reason = "; ".join(reasons)
-    scale, basis = (None, "") if a is None or b is None else scale_of(name, b, *reference)
-    if a is not None and b is not None and scale is None:
-        if a == b:
-            scale = 1.0
-        else:
-            reason = f"{name} is 0 for {reference.name} and has no natural scale"
-    if a is None or b is None or scale is None:
-        return Difference(metric=name, value=a, reference=b, difference=None, scale=None, basis="", reason=reason)
-    exact_a, exact_b = (finite((run.exact or {}).get(name)) for _, run in (side, reference))
-    predicted = [finite((run.predicted or {}).get(name)) for _, run in (side, reference)]
-    numerical = None
-    if predicted[0] is not None and predicted[1] is not None:
-        numerical = (abs(predicted[0] * a) + abs(predicted[1] * b)) / scale
-    return Difference(
-        metric=name,
-        value=a,
-        reference=b,
-        difference=(a - b) / scale,
+def value_row(name: str, run: Run, reference: Run, names: tuple[str, str]) -> Row:
+    """Return the row of one metric of ``run`` and ``reference``, not judged; divided by `scale_of` the reference's."""
+    a, b = run.estimate(name), reference.estimate(name)
+    row = _row(name, a, b, missing(""))
+    if a.value is None or b.value is None:
+        said = [f"{who}: {side.why}" for who, side in zip(names, (a, b), strict=True) if side.value is None]
+        return replace(row, reason=a.why if len(said) == 2 and a.why == b.why else "; ".join(said))
+    scale, basis = scale_of(name, b.value, names[1], reference)
+    if scale is None:
+        if a.value != b.value:
+            return replace(row, reason=f"{name} is 0 for {names[1]} and has no natural scale")
+        scale = 1.0
+    found = apart(a, b, scale, names)
+    exact_a, exact_b = (finite((side.exact or {}).get(name)) for side in (run, reference))
+    return replace(
+        row,
+        difference=found,
         scale=scale,
         basis=basis,
         exact_difference=None if exact_a is None or exact_b is None else (exact_a - exact_b) / scale,
-        numerical=numerical,
+        reason=found.why,
+    )
+
+
+def field_row(name: str, run: BedRunData, reference: BedRunData) -> Row:
+    """Return the row of the rms difference of two time-mean fields, less what sampling alone would give."""
+    try:
+        rms, noise = voidage_difference(run.series, reference.series, run.seen.begin, reference.seen.begin)
+    except InputError as error:
+        return _row(name, missing(""), missing(""), missing(str(error)), reason=str(error))
+    return field_difference(name, rms, noise, float(max(run.series.t[-1], reference.series.t[-1])))
+
+
+def field_difference(name: str, rms: float, noise: float, end: float) -> Row:
+    """Return the row of two fields that differ by ``rms``, ``noise`` of which sampling gives, at ``end`` [s].
+
+    Squares add: what is left of ``rms`` after the noise is between ``sqrt(rms² - 4 noise²)`` and ``rms``.
+    """
+    low = float(np.sqrt(max(rms**2 - (2.0 * noise) ** 2, 0.0)))
+    found = Estimate(value=0.5 * (rms + low), width=0.5 * (rms - low), chance=True, end=end)
+    return _row(name, Estimate(value=None, width=noise), missing(""), found, scale=1.0, basis=RMS)
+
+
+def _row(name: str, run: Estimate, reference: Estimate, difference: Estimate, **rest: Any) -> Row:
+    return Row(
+        metric=name,
+        unit=metric_unit(name),
+        text=metric_text(name),
+        run=run,
+        reference=reference,
+        difference=difference,
+        **rest,
     )
 
 
 def scale_of(name: str, reference: float, label: str, run: Run) -> tuple[float | None, str]:
     """What a difference from ``reference`` is divided by: itself, or a natural scale of ``run`` if it is about zero."""
     unit = metric_unit(name)
-    motion = run.trajectory
-    scales: dict[str, tuple[float, str]] = {"–": (1.0, "absolute"), "rad": (1.0, "absolute, in rad")}
-    speed = float(np.linalg.norm(motion.v, axis=2).max())
-    if unit == "m/s":
-        scales[unit] = (speed, f"absolute, by the largest speed {speed:.4g} m/s")
-    elif unit == "rad/s":
-        spin = speed / float(motion.radius.min())
-        scales[unit] = (spin, f"absolute, by largest speed / smallest radius {spin:.4g} rad/s")
-    elif unit == "m" and name.startswith("delta"):
-        radius = float(motion.radius.min())
-        scales[unit] = (radius, f"absolute, by the smallest radius {radius:.4g} m")
-    elif unit == "m":
-        length, basis = extent(motion.x, motion.radius)
-        scales[unit] = (length, f"absolute, by the {basis}")
-    elif unit == "s":
-        scales[unit] = (run.model.t_end, f"absolute, by the end time {run.model.t_end:.4g} s")
-    scale, basis = scales.get(unit, (0.0, ""))
-    if abs(reference) > NEGLIGIBLE * scale:
+    if name in METRICS and METRICS[name].difference == "absolute":
+        return 1.0, "absolute"
+    scale, basis = (
+        _natural(name, unit, run) if isinstance(run, RunData) else (1.0, "absolute") if unit == "–" else (0.0, "")
+    )
+    least = NEGLIGIBLE * scale if isinstance(run, RunData) else 0.0
+    if abs(reference) > least:
         return abs(reference), f"relative to {label}"
     return (scale, basis) if scale > 0.0 else (None, "")
+
+
+def _natural(name: str, unit: str, run: RunData) -> tuple[float, str]:
+    """Return a natural scale of a metric of a few particles, and what it is; 0 if there is none."""
+    motion = run.trajectory
+    speed, radius = float(np.linalg.norm(motion.v, axis=2).max()), float(motion.radius.min())
+    length, of_motion = extent(motion.x, motion.radius)
+    scales = {
+        "–": (1.0, "absolute"),
+        "rad": (1.0, "absolute, in rad"),
+        "m/s": (speed, f"absolute, by the largest speed {speed:.4g} m/s"),
+        "rad/s": (speed / radius, f"absolute, by largest speed / smallest radius {speed / radius:.4g} rad/s"),
+        "m": (length, f"absolute, by the {of_motion}"),
+        "s": (run.model.t_end, f"absolute, by the end time {run.model.t_end:.4g} s"),
+    }
+    if name.startswith("delta"):
+        scales["m"] = (radius, f"absolute, by the smallest radius {radius:.4g} m")
+    return scales.get(unit, (0.0, ""))
 
 
 def path_difference(motion: Trajectory, reference: Trajectory, until: float | None = None) -> PathDifference:
@@ -189,16 +176,11 @@ def path_difference(motion: Trajectory, reference: Trajectory, until: float | No
         distances = _distances(times, _at(motion, times), there)
         seen = seen if until is None else there
     length, basis = extent(seen, reference.radius)
+    none = "the two runs have no common time span"
     rows = tuple(
-        Difference(
-            metric=name,
-            value=None,
-            reference=None,
-            difference=None if distance is None else distance / length,
-            scale=length,
-            basis=basis,
-            reason="" if distance is not None else "the two runs have no common time span",
-        )
+        _row(name, missing(""), missing(""), missing(none), reason=none)
+        if distance is None
+        else _row(name, missing(""), missing(""), Estimate(value=distance / length), scale=length, basis=basis)
         for name, distance in zip(PATHS, distances, strict=True)
     )
     return PathDifference(rows, length, basis, (start, end))

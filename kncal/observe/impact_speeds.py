@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -42,8 +41,6 @@ KINDS_OF_IMPACTS = ("particles", "walls")
 #: Fewer impacts than this say too little of a mean; of the 99th percentile, a hundred times less the share above it.
 LEAST_IMPACTS, LEAST_FOR_P99 = 100, 1000
 _P99 = 0.99
-_WHO = {"particles": "two particles", "walls": "particle and wall", "all": "all contacts"}
-_COLOURS = ("#0072B2", "#D55E00")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -216,46 +213,6 @@ def histogram_quantiles(edges: Array, counts: Array, shares: Array) -> Array:
     )
     values: Array = low + (high - low) * np.where(at < last, part, linear)
     return values
-
-
-def plot_impact_speeds(speeds: Mapping[str, ImpactSpeeds], path: Path, title: str = "") -> None:
-    """Draw the shares of impacts per decade of speed, with the three speeds, into a picture (.png or .svg).
-
-    A bin that begins at zero has no place on the logarithmic axis and is left out.
-
-    Raises
-    ------
-    InputError
-        If there was no impact, or the file is not of a kind that is drawn.
-    """
-    from kncal.report.plots import new_axes
-
-    shown = [found for found in speeds.values() if found.count]
-    if not shown:
-        raise InputError("impact speeds: there was no impact to draw")
-    if path.suffix not in (".png", ".svg"):
-        raise InputError(f"{path}: expected a picture name that ends in .png or .svg")
-    ax = new_axes(6.6, 5.0)
-    dashes = dict(zip(STATISTICS, (":", "-", "--"), strict=True))
-    for found, colour in zip(shown, _COLOURS, strict=False):
-        edges, counts = found.edges[1:], found.counts[1:]
-        used = np.flatnonzero(counts)
-        part = slice(max(int(used[0]) - 1, 0), int(used[-1]) + 2) if len(used) else slice(0, 1)
-        density = counts[part] / found.count / np.diff(np.log10(edges))[part]
-        label = f"{_WHO[found.kind]}, {found.count} impacts"
-        ax.stairs(density, edges[part.start : part.start + len(density) + 1], color=colour, label=label, fill=False)
-        for name, estimate in found.speeds.items():
-            told = f"{STATISTICS[name]} {estimate.value:.3g} m/s"
-            ax.axvline(estimate.value, color=colour, linestyle=dashes[name], linewidth=1.2, label=told)
-    ax.set_xscale("log")
-    ax.set_ylim(bottom=0.0)
-    ax.set_xlabel("impact speed v_0 [m/s]")
-    ax.set_ylabel("share of impacts per decade [–]")
-    ax.set_title(title, fontsize=10)
-    figure = ax.get_figure(root=True)
-    if figure is not None:
-        figure.legend(fontsize=8, loc="outside lower center", ncols=len(shown))
-        figure.savefig(path, dpi=130, metadata={"Software": None} if path.suffix == ".png" else {"Date": None})
 
 
 def _ratio(t: Array, above: Array, below: Array, count: int) -> Interval:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kncal.core.checks import Array
-from kncal.observe.quantities import Quantities
+from kncal.observe.run_data import BedRunData
 from kncal.record.series import BedSeries
 from kncal.record.steps import NOT_PASSED_LIMIT, REACTION_LIMIT
 from kncal.scene.gas_limits import COURANT_LARGEST
@@ -27,27 +27,28 @@ class Invariant:
 
     Attributes
     ----------
-    name, text : of it; linear, hertz : the worst value of the run, None if it has none (or one that is not a number)
+    name, text : of it; run, reference : the worst value of each, None if it has none (or one that is not a number)
     limit : allowed, ``at_least`` says on which side
     holds : in both runs
     """
 
     name: str
     text: str
-    linear: float | None
-    hertz: float | None
+    run: float | None
+    reference: float | None
     limit: float
     at_least: bool
     holds: bool
 
 
-def invariants(series: tuple[BedSeries, BedSeries], found: tuple[Quantities, Quantities]) -> tuple[Invariant, ...]:
-    """Check the invariants of the (linear, hertz) runs, start-up included; the balance is that of the averages."""
+def invariants(run: BedRunData, reference: BedRunData) -> tuple[Invariant, ...]:
+    """Check the invariants of two runs, start-up included; the balance is that of the averages."""
+    runs = (run, reference)
+    series = [each.series for each in runs]
 
     def largest(name: str) -> Callable[[BedSeries], float | None]:
-        return lambda run: _extreme(getattr(run, name), np.max)
+        return lambda one: _extreme(getattr(one, name), np.max)
 
-    balances = [f.side("weight_closure").average for f in found]
     rows = [
         ("reaction_error", "momentum booked on the particles and on the gas differs by, of the weight", REACTION_LIMIT),
         ("not_passed", "momentum that the gas received and no particle was given, of the weight", NOT_PASSED_LIMIT),
@@ -57,7 +58,8 @@ def invariants(series: tuple[BedSeries, BedSeries], found: tuple[Quantities, Qua
     checked = [_invariant(name, text, [largest(name)(s) for s in series], limit) for name, text, limit in rows]
     lowest = [_extreme(s.eps_g_min, np.min) for s in series]
     checked.insert(3, _invariant("eps_g_min", "smallest void fraction", lowest, EPS_G_FLOOR, at_least=True))
-    closures = [None if b is None else abs(b.mean) for b in balances]
+    balances = [each.estimate("weight_closure").value for each in runs]
+    closures = [None if b is None else abs(b) for b in balances]
     text = "weight balance: |Δp A + floor + walls − weight − change of momentum|, of the weight, time average"
     checked.append(_invariant("weight_closure", text, closures, BALANCE_LIMIT))
     return tuple(checked)
@@ -71,7 +73,7 @@ def _extreme(values: Array, of: Callable[..., float]) -> float | None:
 
 
 def _invariant(name: str, text: str, values: list[float | None], limit: float, *, at_least: bool = False) -> Invariant:
-    linear, hertz = (v if v is not None and np.isfinite(v) else None for v in values)
+    first, second = (v if v is not None and np.isfinite(v) else None for v in values)
     known = [v for v in values if v is not None]
     holds = all(v > limit if at_least else v <= limit for v in known)  # False for NaN
-    return Invariant(name=name, text=text, linear=linear, hertz=hertz, limit=limit, at_least=at_least, holds=holds)
+    return Invariant(name=name, text=text, run=first, reference=second, limit=limit, at_least=at_least, holds=holds)

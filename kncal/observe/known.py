@@ -3,45 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from kncal.observe.averages import BedObservations
-from kncal.observe.bed_rows import decide
+from kncal.observe.estimate import Estimate
+from kncal.observe.row import Row, allowed, difference_text, judge
 from kncal.scene.bed_scene import Gas
+from kncal.scene.metrics import metric_text, metric_unit
 
 #: Metric -> how far from the answer a run may be [-]. Coarse cells and coupled steps cost less than half of the first
-#: two where nothing is wrong; the gas takes the looser ways through a bed, which raises U_mf by 10 %.
+#: two where nothing is wrong; the gas prefers the looser regions of a bed, which raises U_mf by 10 %.
 ALLOWED = {"ergun_ratio": 0.05, "slip": 0.05, "U_mf": 0.15}
 #: The drag law that the answers are of.
 _LAW = "ErgunWenYu"
 
 
-@dataclass(frozen=True, kw_only=True)
-class KnownAnswer:
-    """One run against the answer that theory gives.
-
-    Attributes
-    ----------
-    metric : its name; kind : of the model, "linear" or "hertz"
-    value, uncertainty : of the run, in the unit of the metric
-    answer : by theory; source : which
-    difference : (value - answer)/answer [-]; allowed : its largest size [-]
-    verdict : "ok", "outside", or "undecided" (closer to the limit than it is known)
-    """
-
-    metric: str
-    kind: str
-    value: float
-    uncertainty: float
-    answer: float
-    source: str
-    difference: float
-    allowed: float
-    verdict: str
-
-
-def known_answers(kind: str, seen: BedObservations, gas: Gas | None) -> tuple[KnownAnswer, ...]:
-    """Return every answer that is known of a run: Ergun's gradient, the slip of one particle, U_mf."""
+def known_answers(model: str, seen: BedObservations, gas: Gas | None) -> tuple[Row, ...]:
+    """Return the run of ``model`` against every answer that theory gives: Ergun's gradient, the slip of one particle,
+    U_mf. The source of each is its ``basis``."""
     if gas is None or gas.drag != _LAW:
         return ()
     found: list[tuple[str, float, float, float, str]] = []
@@ -58,32 +36,32 @@ def known_answers(kind: str, seen: BedObservations, gas: Gas | None) -> tuple[Kn
         branch = curve.falling
         source = f"Ergun's equation at the bed's void fraction of {branch.eps_g:.3f}"
         found.append(("U_mf", branch.U_mf, branch.uncertainty, branch.ergun, source))
-    return tuple(_judge(kind, *each) for each in found if each[3] != 0.0)
+    return tuple(_judge(model, *each) for each in found if each[3] != 0.0)
 
 
-def _judge(kind: str, metric: str, value: float, uncertainty: float, answer: float, source: str) -> KnownAnswer:
-    allowed = ALLOWED[metric]
-    return KnownAnswer(
+def _judge(model: str, metric: str, value: float, width: float, answer: float, source: str) -> Row:
+    row = Row(
         metric=metric,
-        kind=kind,
-        value=value,
-        uncertainty=uncertainty,
-        answer=answer,
-        source=source,
-        difference=(value - answer) / answer,
-        allowed=allowed,
-        verdict=decide(abs(value - answer), uncertainty, allowed * abs(answer)),
+        unit=metric_unit(metric),
+        text=metric_text(metric),
+        run=Estimate(value=value, width=width, chance=True),
+        reference=Estimate(value=answer, width=0.0),
+        difference=Estimate(value=(value - answer) / answer, width=width / abs(answer), chance=True),
+        scale=abs(answer),
+        basis=source,
+        model=model,
     )
+    return judge(row, ALLOWED[metric])
 
 
-def known_sentence(known: Sequence[KnownAnswer], verdict: str) -> str:
+def known_sentence(known: Sequence[Row], verdict: str) -> str:
     """Return what there is to say of the answers with ``verdict``; empty if there are none."""
     told = [k for k in known if k.verdict == verdict]
     if not told:
         return ""
     texts = [
-        f"{k.metric} of the {'Hertz' if k.kind == 'hertz' else k.kind} run is {k.value:.4g}, by {k.source}"
-        f" {k.answer:.4g} ({100.0 * k.difference:+.2g} %, ±{100.0 * k.allowed:g} % allowed)"
+        f"{k.metric} of the {'Hertz' if k.model == 'hertz' else k.model} run is {k.run.value:.4g}, by {k.basis}"
+        f" {k.reference.value:.4g} ({difference_text(k)}, {allowed(k.tolerance)} allowed)"
         for k in told
     ]
     lead, end = {

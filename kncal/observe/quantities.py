@@ -3,65 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from kncal.core.checks import Array
 from kncal.core.errors import InputError
 from kncal.observe.averages import BedObservations
-from kncal.observe.bed_rows import Side, one_value
+from kncal.observe.estimate import Estimate, averaged, missing
 from kncal.observe.fields import frames_from, voidage_heights
 from kncal.observe.signals import rows_from
 from kncal.physics.statistics import Average, average
 from kncal.record.series import BedSeries
-from kncal.scene.bed_metrics import BED_METRICS, why_not
+from kncal.scene.metrics import why_not
 
 #: Contacts with a larger overlap than this share of the diameter are counted in ``overlap_share``.
 OVERLAP_LIMIT = 0.01
-#: Averages of `BedObservations` that say nothing new: twice the mean height.
-_LEFT_OUT = ("z_twice",)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Quantities:
-    """Name -> `Side` of everything that one run can be compared by, and the window [s] of its averages.
+def quantities(series: BedSeries, observations: BedObservations) -> dict[str, Estimate]:
+    """Return every metric of a run but for those of added packages: the averages of ``observations``, and those here.
 
-    What means nothing for this ``kind`` of bed (see `kncal.scene.bed_metrics.why_not`) is not in ``sides``.
+    What means nothing for its kind of bed (see `kncal.scene.metrics.why_not`) is not among them.
     """
-
-    sides: dict[str, Side]
-    kind: str
-    changes: bool
-    begin: float
-    end: float
-
-    def side(self, name: str) -> Side:
-        """Return the side of ``name``; one without an average, and why, for what was not observed."""
-        return self.sides.get(name) or Side(average=None, missing=self.why_not(name), begin=self.begin, end=self.end)
-
-    def why_not(self, name: str) -> str:
-        """Return why this bed has no metric ``name``; empty if it may have it, or kncal does not know the name."""
-        return why_not(name, self.kind, self.changes) if name in BED_METRICS else ""
-
-
-def quantities(series: BedSeries, observations: BedObservations) -> Quantities:
-    """Collect the averages of ``observations`` and add those of this module."""
     begin, end = observations.begin, float(series.t[-1])
-    kind, changes = observations.kind, observations.changes
-    sides: dict[str, Side] = {}
-
-    def add(name: str, found: Average | None, missing: str = "") -> None:
-        sides[name] = Side(average=found, missing=missing, begin=begin, end=end)
-
-    for name, found in observations.averages.items():
-        if name not in _LEFT_OUT:
-            add(name, found)
-    for name, value in _own(observations).items():
-        add(name, value)
+    found = {name: averaged(average, begin, end) for name, average in observations.averages.items()} | _own(
+        observations
+    )
     for name, why in observations.missing.items():
-        if name not in sides and not why_not(name, kind, changes):
-            add(name, None, why)
+        if name not in found and not why_not(name, observations.kind, observations.changes):
+            found[name] = missing(why)
     computed: dict[str, Callable[[BedSeries, float], Average]] = {
         "pressure_fluctuation": _fluctuation,
         "weight_balance": _balance,
@@ -70,33 +41,35 @@ def quantities(series: BedSeries, observations: BedObservations) -> Quantities:
         "overlap_share": _overlap_share,
     }
     for name, compute in computed.items():
-        if name in sides or why_not(name, kind, changes):
+        if name in found or why_not(name, observations.kind, observations.changes):
             continue
         try:
-            add(name, compute(series, begin))
+            found[name] = averaged(compute(series, begin), begin, end)
         except InputError as error:
-            add(name, None, str(error))
-    return Quantities(sides=sides, kind=kind, changes=changes, begin=begin, end=end)
+            found[name] = missing(str(error))
+    return found
 
 
-def _own(observations: BedObservations) -> dict[str, Average]:
-    """What single particles, frozen beds and ramps have of their own."""
-    found: dict[str, Average] = {}
+def _own(observations: BedObservations) -> dict[str, Estimate]:
+    """What single particles, frozen beds and ramps have of their own: one value each, with a width of its own kind."""
+    found: dict[str, Estimate] = {}
+
+    def add(name: str, value: float, width: float) -> None:
+        found[name] = Estimate(value=value, width=width, chance=True)
+
     if (final := observations.final) is not None:
-        window = (final.time - final.relaxation, final.time)
-        found["velocity"] = one_value(final.velocity, final.uncertainty, *window)
-        found["slip"] = one_value(final.slip, final.slip_uncertainty, *window)
+        add("velocity", final.velocity, final.uncertainty)
+        add("slip", final.slip, final.slip_uncertainty)
     if observations.plateaus:
         worst = max(observations.plateaus, key=lambda p: abs(p.ratio - 1.0))
-        found["ergun_ratio"] = one_value(worst.ratio, worst.uncertainty, worst.begin, worst.end)
+        add("ergun_ratio", worst.ratio, worst.uncertainty)
     if (curve := observations.curve) is not None:
-        end = curve.end
         for name, branch in (("U_mf", curve.falling), ("U_mf_rising", curve.rising)):
-            found[name] = one_value(branch.U_mf, branch.uncertainty, 0.0, end)
-        found["overshoot"] = one_value(curve.rising.largest - 1.0, curve.rising.largest_uncertainty, 0.0, end)
-        found["eps_mf"] = one_value(curve.falling.eps_g, curve.falling.eps_g_uncertainty, 0.0, end)
+            add(name, branch.U_mf, branch.uncertainty)
+        add("overshoot", curve.rising.largest - 1.0, curve.rising.largest_uncertainty)
+        add("eps_mf", curve.falling.eps_g, curve.falling.eps_g_uncertainty)
         if curve.falling.plateau is not None:
-            found["plateau"] = one_value(curve.falling.plateau, curve.falling.plateau_uncertainty, 0.0, end)
+            add("plateau", curve.falling.plateau, curve.falling.plateau_uncertainty)
     return found
 
 

@@ -87,7 +87,7 @@ def rows_from(series: BedSeries, begin: float) -> NDArray[np.bool_]:
 
 
 def bed_kind(series: BedSeries, begin: float) -> str:
-    """Return which of `kncal.scene.bed_metrics.KINDS_OF_BEDS` a run is from ``begin`` [s] on."""
+    """Return which of `kncal.scene.metrics.KINDS_OF_BEDS` a run is from ``begin`` [s] on."""
     if series.facts.count == 0:
         return "gas"
     rows = rows_from(series, begin)

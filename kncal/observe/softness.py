@@ -1,20 +1,20 @@
 """What softness does to the physics: signs that a contact is too soft, each with its limit and where that is from.
 
-A sign tells of the run itself, whatever a tolerance says: a metric may agree by luck in a scene whose particles hang
-in each other.
+A sign tells of the run itself, whatever a tolerance says: a metric may agree by luck in a scene whose particles overlap
+too far.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
 from kncal.core.checks import Array
-from kncal.observe.bed_compare import BedRunData
-from kncal.observe.compare import RunData
 from kncal.observe.quantities import OVERLAP_LIMIT
+from kncal.observe.run_data import BedRunData, RunData
 from kncal.physics.calibration import OVERLAP_DOUBTFUL
 from kncal.physics.material import sphere_mass
 from kncal.physics.statistics import MIN_SAMPLES, average, difference, start_up
@@ -22,7 +22,6 @@ from kncal.scene.load import bottom_overlaps
 from kncal.scene.model import BedModel, Model, PairContact
 from kncal.scene.scene import Particle
 from kncal.scene.species import SpeciesPair
-from kncal.study.trade.trade import Sign
 
 #: Speed over the speed of sound of a chain: at 0.1 densities vary by about 1 %.
 MACH_LIMIT = 0.1
@@ -36,6 +35,28 @@ _CUSTOM = "customary bound on overlaps, 0.1 to 1 % of the diameter (after Lan & 
 _WALL = "a particle is through when its centre is: with 100 N/m they pass a cyclone's wall, with 1000 not (MFIX FAQ)"
 _SOUND = "sound ten times as fast as what moves keeps densities within 1 % (Monaghan, J. Comput. Phys. 110 (1994) 399)"
 _CONTACTS = "a convention of kncal: a tenth"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sign:
+    """One way in which softness changes the physics.
+
+    Attributes
+    ----------
+    name : "overlap_share", "leaking", "contact_number", "sound_speed_ratio" ...
+    value : what was found, in ``unit``
+    limit : where it begins to matter; ``source``: of this limit
+    changed : whether it is beyond the limit
+    text : one sentence
+    """
+
+    name: str
+    value: float
+    unit: str
+    limit: float
+    source: str
+    changed: bool
+    text: str
 
 
 def signs(data: RunData | BedRunData, reference: RunData | BedRunData | None = None) -> tuple[Sign, ...]:

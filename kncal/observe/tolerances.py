@@ -3,28 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 
+from kncal.core.checks import nearest
 from kncal.core.errors import InputError
-from kncal.scene.bed_metrics import BED_METRICS
-from kncal.scene.metrics import METRICS, split_metric
+from kncal.scene.metrics import METRICS, offered, split_metric
 
-#: Words for metrics, of single contacts and of beds.
+#: Words for metrics; of each those count that the runs of a case can have.
 WORDS: Mapping[str, tuple[str, ...]] = {
     "restitution": ("e_n",),
-    "overlap": ("delta_max", "delta_mean"),
+    "overlap": ("delta_max", "delta_mean", "overlap_mean", "overlap_max"),
     "duration": ("t_c",),
-}
-BED_WORDS: Mapping[str, tuple[str, ...]] = {
     "pressure": ("pressure_drop",),
     "height": ("bed_height",),
     "bubbles": ("bubble_number", "bubble_share", "bubble_diameter", "bubble_velocity"),
-    "overlap": ("overlap_mean", "overlap_max"),
 }
 
 
-def parse_tolerances(given: Iterable[str], *, bed: bool) -> dict[str, float]:
+def parse_tolerances(given: Iterable[str], recorded: Collection[str]) -> dict[str, float]:
     """Return metric -> largest allowed abs(error) [-] of texts like ``restitution=1%`` or ``t_c=0.05``.
+
+    ``recorded``: what a run of the case records, names of `kncal.scene.metrics.RECORDS`.
 
     Raises
     ------
@@ -37,7 +36,7 @@ def parse_tolerances(given: Iterable[str], *, bed: bool) -> dict[str, float]:
         if not sign or not name:
             raise InputError(f"--tolerance {text[:100]!r}: expected METRIC=SHARE, e.g. restitution=1% or t_c=0.05")
         value = _share(text, number)
-        for metric in _metrics(name, bed):
+        for metric in _metrics(name, offered(recorded)):
             if metric in found:
                 raise InputError(f"--tolerance {text[:100]!r}: {metric} has one already; expected each metric once")
             found[metric] = value
@@ -59,14 +58,12 @@ def _share(text: str, number: str) -> float:
     return value
 
 
-def _metrics(name: str, bed: bool) -> tuple[str, ...]:
-    words, metrics = (BED_WORDS, BED_METRICS) if bed else (WORDS, METRICS)
+def _metrics(name: str, offer: Collection[str]) -> tuple[str, ...]:
+    words = {word: of for word, metrics in WORDS.items() if (of := tuple(m for m in metrics if m in offer))}
+    base, later = split_metric(name)
     if name in words:
         return words[name]
-    if name in metrics or (not bed and split_metric(name)[0] in metrics):
+    if name in offer or (base in offer and METRICS[base].each and later > 1):
         return (name,)
-    import difflib
-
-    near = difflib.get_close_matches(name, [*words, *metrics], n=1)
-    hint = f"; did you mean {near[0]!r}?" if near else ""
-    raise InputError(f"--tolerance {name[:50]!r}: expected one of {', '.join([*words, *metrics])}{hint}")
+    allowed = [*words, *offer]
+    raise InputError(f"--tolerance {name[:50]!r}: expected one of {', '.join(allowed)}{nearest(name, allowed)}")

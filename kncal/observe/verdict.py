@@ -1,160 +1,333 @@
-"""The verdict of a comparison in words: what was compared, whether it holds, what it saves, what to mind."""
+"""The verdict on a comparison in words: one sentence, at most three points under it, and details."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Protocol, TypeVar
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
-from kncal.core.units import percent, quantity
-from kncal.observe.cost import Cost, Speed
-from kncal.scene.metrics import ExactRow, MetricRow
-from kncal.scene.model import Model
+from kncal.core.units import plus_minus, quantity
+from kncal.observe.averages import BedObservations
+from kncal.observe.cost import Speed
+from kncal.observe.fluidization_curve import Branch
+from kncal.observe.invariants import Invariant
+from kncal.observe.known import known_sentence
+from kncal.observe.row import RMS, Row, allowed, difference_text, needed_end
+from kncal.observe.run_data import BedRunData, RunData
+from kncal.scene.gas_limits import COURANT_LARGE
+from kncal.scene.model import BedModel, Model
 
 #: The largest difference without a tolerance is named in the verdict if it is larger than this.
 NOTABLE = 0.01
+#: Points under the sentence of a verdict.
+MOST_POINTS = 3
 
 
-class Compared(Protocol):
-    """A row of a comparison, of single contacts or a bed."""
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """A verdict in words.
 
-    @property
-    def metric(self) -> str:
-        """Name."""
-        ...
-
-    @property
-    def difference(self) -> float | None:
-        """Of the two runs, over a scale [-]."""
-        ...
-
-    @property
-    def tolerance(self) -> float | None:
-        """Allowed size of the difference [-], None: informative."""
-        ...
-
-
-Row = TypeVar("Row", bound=Compared)
-
-
-def not_judged(rows: Sequence[Row], text_of: Callable[[Row], str]) -> str:
-    """Return what a verdict says of the largest difference that nobody judged; "" if nothing is judged, or it is small.
-
-    ``text_of`` writes the difference of a row.
+    Attributes
+    ----------
+    state : "within", "outside", "undecided", or "open" if nothing is judged
+    sentence : the judgement
+    points : what is saved, the largest difference that nobody judged, and what is worst; at most three
+    details : all else that is to be known
     """
-    left = [r for r in rows if r.tolerance is None and abs(r.difference or 0.0) > NOTABLE]
-    if not left or all(r.tolerance is None for r in rows):
-        return ""
-    worst = max(left, key=lambda r: abs(r.difference or 0.0))
-    return f" Not judged by any tolerance: {worst.metric}, {text_of(worst)}."
+
+    state: str
+    sentence: str
+    points: tuple[str, ...]
+    details: tuple[str, ...]
+
+    @property
+    def all(self) -> tuple[str, ...]:
+        """Every sentence, in this order."""
+        return (self.sentence, *self.points, *self.details)
 
 
-def sentences(
-    models: tuple[Model, Model],
-    rows: Sequence[MetricRow],
-    exact: Sequence[ExactRow],
-    costs: tuple[Cost, Cost],
+def state_of(rows: Iterable[Row], known: Iterable[Row] = ()) -> str:
+    """Return the verdict in a word: "outside", "undecided", "within", or "open" if no row has a tolerance.
+
+    A known answer that is missed, or perhaps missed, makes it "outside" or "undecided" whatever the rows say.
+    """
+    judged = {row.verdict for row in rows} - {"-"}
+    verdicts = judged | {row.verdict for row in known}
+    if verdicts & {"outside", "missing"}:
+        return "outside"
+    if "undecided" in verdicts:
+        return "undecided"
+    return "within" if judged else "open"
+
+
+def verdict(
+    runs: tuple[RunData | BedRunData, RunData | BedRunData],
+    rows: Sequence[Row],
+    exact: Sequence[Row],
+    known: Sequence[Row],
+    invariants: Sequence[Invariant],
     speed: Speed,
     limits: Sequence[tuple[str, str]] = (),
-) -> tuple[str, ...]:
-    """Return the verdict as sentences: the verdict itself, the speed, then notes (limits, caveats, surprises).
+) -> Verdict:
+    """Return the verdict on a run and its reference, ``runs``.
 
-    ``limits`` are (warning code, sentence); attraction, which nearly every damped contact has, is left to the tables.
+    A known answer that is missed comes first; that the models agree is a point then. ``limits`` are (warning code,
+    sentence); attraction, which nearly every damped contact has, is left to the tables.
     """
-    minded = [f"Mind: {text}." for code, text in limits if code != "attraction"]
-    notes = (*minded, *speed.caveats, *_notes(rows, exact))
-    judgement = _judgement(*models, rows) + not_judged(rows, lambda row: percent(row.difference))
-    return (judgement, _speed(costs, speed), *notes)
+    models = (runs[0].model, runs[1].model)
+    seen = [run.seen for run in runs if isinstance(run, BedRunData)]
+    missed = [text for each in ("outside", "undecided") if (text := known_sentence(known, each))]
+    alike = _judgement(*models, rows, "Models alike" if missed else "Within tolerance")
+    sentence, *severe = [*missed, alike]
+    severe += [
+        *_broken(invariants),
+        *(f"Warning: {text}." for code, text in limits if code != "attraction"),
+        *_odd(exact),
+    ]
+    collide = not seen or (bool(models[0].contacts) and seen[0].kind not in ("frozen", "gas"))
+    saved = _speed(runs, speed) if collide else _no_contacts(runs, seen[0].kind)
+    points = [saved, *not_judged(rows), *severe]
+    details = [
+        *points[MOST_POINTS:],
+        *filter(None, (known_sentence(known, "ok"),)),
+        *against_theory(dict(zip(("linear", "Hertz"), seen, strict=False))),
+        *_coarse(invariants),
+        *_undecided(rows),
+        *_differences(rows),
+        *_blurred(rows),
+        *_doubts(rows),
+        *(speed.caveats if collide else ()),
+    ]
+    return Verdict(
+        state=state_of(rows, known), sentence=sentence, points=tuple(points[:MOST_POINTS]), details=tuple(details)
+    )
 
 
-def _judgement(linear: Model, hertz: Model, rows: Sequence[MetricRow]) -> str:
-    scene = hertz.scene
+# --- the sentence -------------------------------------------------------------------------------------------------
+
+
+def _judgement(linear: Model | BedModel, hertz: Model | BedModel, rows: Sequence[Row], within: str) -> str:
     laws = ", ".join(dict.fromkeys(c.law for c in hertz.contacts.values())) or hertz.kind
-    who = f"in {scene.name} the linear spring ({_spring(linear)})"
+    who = f"in {hertz.scene.name} the linear spring ({spring(linear)})"
     judged = [r for r in rows if r.tolerance is not None]
-    failed = [r for r in judged if r.verdict != "ok"]
     if not judged:
         return f"Not judged: no tolerance is given; {who} was compared with {laws}, the differences are below."
-    if not failed:
-        nearest = max(judged, key=_use)
-        return (
-            f"Within tolerance: {who} agrees with {laws} in {_all(len(judged))} judged; closest to its"
-            f" limit: {nearest.metric}, {percent(nearest.difference)} where {allowed(nearest.tolerance)} is allowed."
-        )
-    texts = [
-        f"{r.metric} by {percent(r.difference)} ({allowed(r.tolerance)} allowed)"
-        if r.verdict == "outside"
-        else f"{r.metric} could not be computed ({r.reason})"
-        for r in failed
-    ]
-    how_many = f"{len(failed)} of {len(judged)} metrics judged"
-    return f"Outside tolerance: {who} fails against {laws} in {how_many}: {'; '.join(texts)}."
+    failed = [r for r in judged if r.verdict in ("outside", "missing")]
+    undecided = [r for r in judged if r.verdict == "undecided"]
+    if failed:
+        texts = [
+            f"{r.metric} by {difference_text(r)} ({allowed(r.tolerance)} allowed)"
+            if r.verdict == "outside"
+            else f"{r.metric} could not be computed ({r.reason})"
+            for r in failed
+        ]
+        rest = f"; {len(undecided)} more undecided" if undecided else ""
+        how_many = f"{len(failed)} of {len(judged)} metrics judged"
+        return f"Outside tolerance: {who} fails against {laws} in {how_many}: {'; '.join(texts)}{rest}."
+    if undecided:
+        texts = [f"{r.metric} {difference_text(r)} ({allowed(r.tolerance)} allowed)" for r in undecided]
+        why, remedy = _remedy(undecided)
+        ok = f"{len(judged) - len(undecided)} of {len(judged)} metrics judged agree"
+        return f"Undecided: {who} against {laws}: {ok}, {why} {'; '.join(texts)}: {remedy}."
+    count = "the one metric" if len(judged) == 1 else f"all {len(judged)} metrics"
+    nearest = max(judged, key=lambda r: r.reach)
+    return (
+        f"{within}: {who} agrees with {laws} in {count} judged; closest to its limit:"
+        f" {nearest.metric}, {difference_text(nearest)} where {allowed(nearest.tolerance)} is allowed."
+    )
 
 
-def _spring(model: Model) -> str:
+def _remedy(undecided: Sequence[Row]) -> tuple[str, str]:
+    """Return why rows are undecided, in words that precede them, and what to do."""
+    if not any(r.difference.chance for r in undecided):
+        steps = "take more steps per contact (run.steps_per_contact), or allow more"
+        return "the error of the time step is too large for", steps
+    if (end := needed_end(undecided)) is not None:
+        return "the runs are too short for", f"run until about {end:.3g} s (run.end_time) to decide"
+    if not any(_by_length(r) for r in undecided):
+        return "too uncertain is", "let it come to its end, or allow more"
+    return "the runs are too short for", "run much longer, or allow more"
+
+
+def _by_length(row: Row) -> bool:
+    """Whether a longer run makes the difference more certain."""
+    return row.basis == RMS or row.run.average is not None
+
+
+def spring(model: Model | BedModel) -> str:
+    """Return the linear springs of a model in words: "k_n = 100 N/m by mean_overlap"."""
     stiffness = sorted({c.k for c in model.contacts.values()})
     if not stiffness:
         return "no contact"
-    ends = dict.fromkeys((stiffness[0], stiffness[-1]))
-    numbers = " to ".join(quantity(k, "N/m", 4) for k in ends)
+    numbers = " to ".join(quantity(k, "N/m", 4) for k in dict.fromkeys((stiffness[0], stiffness[-1])))
     choice = model.scene.contact
-    how = "prescribed" if choice.k_n is not None else f"by {choice.method}"
-    return f"k_n = {numbers} {how}"
+    return f"k_n = {numbers} {'prescribed' if choice.k_n is not None else f'by {choice.method}'}"
 
 
-def _use(row: MetricRow) -> float:
-    """Share of its tolerance that a row uses up; 0 of 0 is none."""
-    if not row.difference:
-        return 0.0
-    return abs(row.difference) / row.tolerance if row.tolerance else float("inf")
+# --- points -------------------------------------------------------------------------------------------------------
 
 
-def _speed(costs: tuple[Cost, Cost], speed: Speed) -> str:
-    linear, hertz = costs
-    text = f"The linear run took {linear.steps:,} steps, the Hertz run {hertz.steps:,}:"
-    text += f" {factor(speed.steps, 'steps')}. CPU time: {quantity(linear.cpu_seconds, 's', 3)} against"
-    text += f" {quantity(hertz.cpu_seconds, 's', 3)}"
+def not_judged(rows: Sequence[Row]) -> list[str]:
+    """Return what a verdict says of the largest difference that nobody judged; none if nothing is judged, or it is
+    small, or no larger than its width."""
+    left = [r for r in rows if r.tolerance is None and r.difference.significant is not False]
+    left = [r for r in left if abs(r.difference.value or 0.0) > NOTABLE]
+    if not left or all(r.tolerance is None for r in rows):
+        return []
+    worst = max(left, key=lambda r: abs(r.difference.value or 0.0))
+    return [f"Largest difference that no tolerance judges: {worst.metric}, {difference_text(worst)}."]
+
+
+def _speed(runs: Sequence[RunData | BedRunData], speed: Speed) -> str:
+    linear, hertz = (run.cost for run in runs)
+    of = " of the particles" if linear.transport else ""
+    text = f"Steps{of}: {linear.steps:,} linear, {hertz.steps:,} Hertz, {gain(speed.steps)}."
+    text += f" CPU time{of}: {quantity(linear.cpu_seconds, 's', 3)} and {quantity(hertz.cpu_seconds, 's', 3)}"
     if speed.cpu is None:
         return f"{text}." if "builtin" in (linear.engine, hertz.engine) else f"{text}, too short for a ratio."
-    text += f", {factor(speed.cpu, 'CPU time')}"
+    text += f", {gain(speed.cpu)}"
     if min(linear.runs, hertz.runs) > 1:
         text += f" (ratio {speed.cpu_low:.2f} to {speed.cpu_high:.2f} over {linear.runs} and {hertz.runs} runs)"
+    if linear.transport and speed.total is not None:
+        totals = " and ".join(quantity(cost.total, "s", 3) for cost in (linear, hertz))
+        text += f"; with gas and exchange {totals}, {gain(speed.total)}"
     return f"{text}."
 
 
-def factor(ratio: float, what: str) -> str:
-    """Return a ratio of "steps" or "CPU time" in words: "2.00 times fewer steps"."""
+def gain(ratio: float) -> str:
+    """Return reference over run in words: "speed-up 2.00"."""
     if abs(ratio - 1.0) < 0.005:
-        return f"the same {what}"
-    word = "fewer" if what == "steps" else "less"
-    return f"{ratio:.2f} times {word} {what}" if ratio > 1.0 else f"{1.0 / ratio:.2f} times more {what}"
+        return "no difference"
+    return f"speed-up {ratio:.2f}" if ratio > 1.0 else f"slow-down {1.0 / ratio:.2f}"
 
 
-def _notes(rows: Sequence[MetricRow], exact: Sequence[ExactRow]) -> list[str]:
-    notes = [f"{r.metric}: {r.reason}." for r in rows if r.verdict in ("ok", "outside") and r.reason]
+def _no_contacts(runs: Sequence[RunData | BedRunData], kind: str) -> str:
+    why = "The particles did not move" if kind == "frozen" else "No contact was to be computed"
+    totals = " and ".join(quantity(run.cost.total, "s", 3) for run in runs)
+    return f"{why}, so neither model saves anything: the gas took {totals} of CPU time."
+
+
+def _broken(invariants: Sequence[Invariant]) -> list[str]:
+    texts = [
+        f"{i.name} (linear {_number(i.run)}, Hertz {_number(i.reference)};"
+        f" {'more than' if i.at_least else 'at most'} {i.limit:g} expected)"
+        for i in invariants
+        if not i.holds
+    ]
+    return [f"Not to be trusted before this is understood: {'; '.join(texts)}."] if texts else []
+
+
+def _odd(exact: Sequence[Row]) -> list[str]:
+    odd = [f"{r.metric} ({r.model})" for r in exact if r.verdict == "outside"]
+    if not odd:
+        return []
+    return [
+        f"Further from the exact solution than the predicted discretisation error: {', '.join(odd)}."
+        " Look for a contact that was not resolved before you trust the comparison."
+    ]
+
+
+# --- details ------------------------------------------------------------------------------------------------------
+
+
+def against_theory(seen: dict[str, BedObservations]) -> list[str]:
+    """Return what the runs of a bed (by the name of their model) give beside a theory, one sentence each."""
+    texts: dict[str, list[str]] = {}
+    for kind, observed in seen.items():
+        for text in _theory(observed):
+            texts.setdefault(text, []).append(kind)
+    return [f"{' and '.join(kinds)}: {text}" for text, kinds in texts.items()]
+
+
+def _theory(seen: BedObservations) -> list[str]:
+    texts = []
+    if (final := seen.final) is not None:
+        ode = ""
+        if final.settling is not None:
+            away = 100.0 * (final.velocity - final.settling) / final.slip
+            ode = (
+                f"; the equation of motion gives a velocity of {final.settling:.5g} m/s, {away:+.2g} % of the slip away"
+            )
+        texts.append(
+            f"after {final.time:.3g} s the velocity of the particle is {final.velocity:.5g} m/s, its slip"
+            f" {final.slip:.5g} m/s (terminal, by the drag law: {final.terminal:.5g} m/s){ode}."
+        )
+    if seen.plateaus:
+        ratios = ", ".join(f"{p.ratio:.4f} at {p.U_0:.3g} m/s" for p in seen.plateaus)
+        means = ", ".join(f"{p.gradient / p.ergun_mean:.3f}" for p in seen.plateaus)
+        texts.append(
+            f"pressure gradient over Ergun's with each cell's own void fraction and velocity: {ratios}; over Ergun's at"
+            f" the mean void fraction, {seen.plateaus[-1].eps_g:.3f}: {means} (more gas flows where the bed is looser)."
+        )
+    if (curve := seen.curve) is not None:
+        texts.append(
+            f"U_mf is {_branch(curve.falling)} with falling, {_branch(curve.rising)} with rising gas velocity; by Wen"
+            f" and Yu's correlation {curve.wen_yu:.3g} m/s. Largest pressure drop on the way up:"
+            f" {curve.rising.largest:.3g} of weight/area."
+        )
+    return texts
+
+
+def _branch(branch: Branch) -> str:
+    plateau = ""
+    if branch.U_mf_plateau is not None:
+        plateau = f", {branch.U_mf_plateau:.3g} m/s where it meets the plateau measured, {branch.plateau:.3g}"
+    return (
+        f"{plus_minus(branch.U_mf, branch.uncertainty)} m/s (Ergun at the bed's void fraction of {branch.eps_g:.3f}:"
+        f" {branch.ergun:.3g} m/s{plateau})"
+    )
+
+
+def _coarse(invariants: Sequence[Invariant]) -> list[str]:
+    found = [i for i in invariants if i.name == "courant_max" and i.holds]
+    largest = max((value for i in found for value in (i.run, i.reference) if value is not None), default=0.0)
+    if largest <= COURANT_LARGE:
+        return []
+    return [
+        f"The gas moved up to {largest:.3g} cells in a step: stable, but coarse in time; a run with half the"
+        " run.gas_step tells whether that matters."
+    ]
+
+
+def _undecided(rows: Sequence[Row]) -> list[str]:
+    open_ones = [(r.metric, r.difference.needed_end) for r in rows if r.verdict == "undecided" and _by_length(r)]
+    texts = [f"{name} {'out of reach' if end is None else f'about {end:.3g} s'}" for name, end in open_ones]
+    return [f"End time predicted to decide: {', '.join(texts)}."] if texts else []
+
+
+def _differences(rows: Sequence[Row]) -> list[str]:
+    known = [r for r in rows if r.difference.chance]
+    # one value of each run that agree as well as the case asks: that they are not equal to the last bit says nothing
+    names = [r.metric for r in known if r.difference.significant and (_by_length(r) or r.verdict != "ok")]
+    if names:
+        return [
+            f"Differences larger than their uncertainty: {', '.join(names)}."
+            " Of twenty averages of equal runs one differs so by chance."
+        ]
+    return ["No difference is larger than its uncertainty; a smaller one may still be there."] if known else []
+
+
+def _blurred(rows: Sequence[Row]) -> list[str]:
     judged = any(r.tolerance is not None for r in rows)
     blurred = [
         r.metric
         for r in rows
-        if r.difference is not None
-        and r.numerical is not None
-        and 0.0 < abs(r.difference) <= r.numerical
-        and (r.tolerance is not None or not judged)
+        if not r.difference.chance and r.difference.significant is False and r.difference.value
+        if r.tolerance is not None or not judged
     ]
-    if blurred:
-        notes.append(f"{', '.join(blurred)}: the two runs differ by no more than the predicted discretisation error.")
-    odd = [f"{r.metric} ({r.model})" for r in exact if r.explained is False]
-    if odd:
-        notes.append(
-            f"Further from the exact solution than the predicted discretisation error: {', '.join(odd)}."
-            " Look for a contact that was not resolved before you trust the comparison."
-        )
-    return notes
+    if not blurred:
+        return []
+    return [f"{', '.join(blurred)}: the two runs differ by no more than the predicted discretisation error."]
 
 
-def _all(n: int) -> str:
-    return "the one metric" if n == 1 else f"all {n} metrics"
+def _doubts(rows: Sequence[Row]) -> list[str]:
+    doubted = [r.metric for r in rows if r.difference.value is not None and not r.difference.reliable]
+    if not doubted:
+        return []
+    return [
+        f"Uncertainties not to be relied upon (taken three times as wide before they decide): {', '.join(doubted)}."
+        " The runs are short for them, or still drift."
+    ]
 
 
-def allowed(tolerance: float | None) -> str:
-    """Return a tolerance as text: "±5 %"."""
-    return f"±{100.0 * (tolerance or 0.0):.3g} %"
+def _number(value: float | None) -> str:
+    return "–" if value is None else f"{value:.3g}"

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kncal.observe.bed_compare import BedComparison
+from kncal.observe.compare import Comparison
+from kncal.observe.run_data import BedRunData
 from kncal.report import bed_plots as pictures
 from kncal.report import plots
 from kncal.report.animation import animate, has_mp4, snapshot
@@ -34,21 +35,22 @@ def _signals(scene: BedScene, *, gas: bool) -> dict[str, str]:
     return found
 
 
-def draw_bed_figures(comparison: BedComparison, folder: Path) -> tuple[Figure, ...]:
+def draw_bed_figures(comparison: Comparison[BedRunData], folder: Path) -> tuple[Figure, ...]:
     """Write every figure that the data allow into ``folder``, as PNG and SVG.
 
     The animation is a GIF, its last picture a PNG; with the extra ``kncal[mp4]`` there is an MP4 as well.
     """
-    data = (comparison.linear, comparison.hertz)
-    runs = {d.model.kind: (d.series, seen) for d, seen in zip(data, comparison.observations, strict=True)}
+    data = (comparison.run, comparison.reference)
+    runs = {d.model.kind: (d.series, d.seen) for d in data}
+    observed = [d.seen for d in data]
     figures = []
 
     def add(name: str, ax: Axes, caption: str, alt: str) -> None:
         png, svg = plots.save(ax, folder, name)
         figures.append(Figure(name=name, png=png.name, svg=svg.name, caption=caption, alt=alt))
 
-    gas = all(seen.eps_g is not None for seen in comparison.observations)
-    scene = comparison.hertz.model.scene
+    gas = all(seen.eps_g is not None for seen in observed)
+    scene = comparison.reference.model.scene
     for name, caption in _signals(scene, gas=gas).items():
         alt = f"{pictures.SIGNALS[name][0]} against time, linear and Hertz."
         add(name, pictures.signal_time(runs, name), caption, alt)
@@ -59,36 +61,36 @@ def draw_bed_figures(comparison: BedComparison, folder: Path) -> tuple[Figure, .
             "Time mean void fraction eps_g, averaged over the depth, and the difference: noise has no shape.",
             "Maps of the mean void fraction, linear, Hertz, and their difference.",
         )
-    if any(seen.overlaps is not None for seen in comparison.observations):
+    if any(seen.overlaps is not None for seen in observed):
         add(
             "overlaps",
             pictures.overlap_histogram(runs),
             "Overlaps of all contacts between particles: this is where the two contacts must differ.",
             "Share of contacts against overlap over diameter, linear and Hertz.",
         )
-    if any(seen.spectrum is not None for seen in comparison.observations):
+    if any(seen.spectrum is not None for seen in observed):
         add(
             "spectrum",
             pictures.pressure_spectra(runs),
             "Spectrum of the inlet pressure: the peak is the rhythm of the bubbles.",
             "Spectral density of the inlet pressure against frequency, linear and Hertz.",
         )
-    if any(seen.tracks is not None and len(seen.tracks.diameter) for seen in comparison.observations):
+    if any(seen.tracks is not None and len(seen.tracks.diameter) for seen in observed):
         add(
             "bubbles",
             pictures.bubble_rise(runs),
             "Rise velocity of the bubbles against their diameter D; of a single one it is 0.711 √(g D).",
             "Rise velocity of bubbles against their diameter, linear and Hertz.",
         )
-    if any(seen.curve is not None for seen in comparison.observations):
+    if any(seen.curve is not None for seen in observed):
         add(
             "fluidization_curve",
             pictures.fluidization_curves(runs),
             "Pressure drop against falling gas velocity; U_mf is where the packed bed's curve reaches the weight.",
             "Normalised pressure drop against gas velocity, linear and Hertz, with the packed bed's curve.",
         )
-    if any(seen.solids is not None for seen in comparison.observations) and gas:
-        height = float(np.mean([seen.averages["z_mean"].mean for seen in comparison.observations]))
+    if any(seen.solids is not None for seen in observed) and gas:
+        height = float(np.mean([seen.averages["z_mean"].mean for seen in observed]))
         add(
             "velocity",
             pictures.velocity_profiles(runs, height),

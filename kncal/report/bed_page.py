@@ -9,8 +9,9 @@ from typing import Any
 from kncal.core.errors import RenderError
 from kncal.core.files import write_csv, write_json, write_text
 from kncal.core.units import percent, quantity
-from kncal.observe.bed_compare import BedComparison
-from kncal.observe.bed_cost import BedCost
+from kncal.observe.compare import Comparison
+from kncal.observe.cost import Cost
+from kncal.observe.run_data import BedRunData
 from kncal.record.series import write_series_csv
 from kncal.report.bed_figures import draw_bed_figures
 from kncal.report.page import CONTACT_ENDS, Table, page_template
@@ -38,7 +39,7 @@ _MODEL_B = (
 
 
 def write_bed_report(
-    comparison: BedComparison,
+    comparison: Comparison[BedRunData],
     folder: Path,
     *,
     warnings: Sequence[str] = (),
@@ -51,14 +52,14 @@ def write_bed_report(
 
     Parameters
     ----------
-    comparison : BedComparison
+    comparison : Comparison[BedRunData]
     warnings : what the limits of the solvers say about the case, one sentence each; those of the contacts are added
     provenance : section -> entries (nested mappings, lists, text, numbers), shown as they are
 
     Returns
     -------
     Path
-        Of ``index.html``; beside it ``comparison.json``, ``quantities.csv``, the numbers per coupling of each run
+        Of ``index.html``; beside it ``comparison.json``, ``metrics.csv``, the numbers per coupling of each run
         (``linear.csv``, ``hertz.csv``), the figures as PNG and SVG, and ``animation.gif``.
     """
     if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
@@ -72,13 +73,13 @@ def write_bed_report(
         {**comparison.to_dict(), "warnings": texts, "provenance": dict(provenance)},
     )
     frame = comparison.to_frame()
-    units = dict.fromkeys((str(name) for name in frame.columns), "-") | {"needed_end_time": "s"}
-    for name in ("linear", "linear_uncertainty", "hertz", "hertz_uncertainty"):
+    units = dict.fromkeys((str(name) for name in frame.columns), "-") | {"needed_end": "s"}
+    for name in ("run", "run_width", "reference", "reference_width"):
         units[name] = "see unit"
-    write_csv(folder / "quantities.csv", frame, units)
-    for data in (comparison.linear, comparison.hertz):
+    write_csv(folder / "metrics.csv", frame, units)
+    for data in (comparison.run, comparison.reference):
         write_series_csv(folder / f"{data.model.kind}.csv", data.series)
-    scene = comparison.hertz.model.scene
+    scene = comparison.reference.model.scene
     lines = lines_of(comparison.rows)
     page = folder / "index.html"
     write_text(
@@ -88,7 +89,7 @@ def write_bed_report(
             title=scene.title,
             source=scene.source,
             state=comparison.state,
-            sentences=comparison.sentences,
+            sentences=comparison.verdict.all,
             lines=lines,
             windows=_windows(comparison),
             costs=_cost_table(comparison),
@@ -97,60 +98,60 @@ def write_bed_report(
             figures=figures,
             speeds=speeds,
             settings=_settings(comparison),
-            conventions=_conventions(comparison.linear.model, comparison.hertz.model, names_of(lines.rows)),
+            conventions=_conventions(comparison.run.model, comparison.reference.model, names_of(lines.rows)),
             provenance=provenance,
-            files=("comparison.json", "quantities.csv", "linear.csv", "hertz.csv"),
+            files=("comparison.json", "metrics.csv", "linear.csv", "hertz.csv"),
         ),
     )
     return page
 
 
-def _windows(comparison: BedComparison) -> str:
-    data = (comparison.linear, comparison.hertz)
+def _windows(comparison: Comparison[BedRunData]) -> str:
+    data = (comparison.run, comparison.reference)
     texts = [
         f"{d.model.kind}: {seen.begin:.3g} to {float(d.series.t[-1]):.3g} s"
         + ("" if seen.begin_by == "given" else f", start-up found in {seen.begin_by}")
-        for d, seen in zip(data, comparison.observations, strict=True)
+        for d, seen in ((d, d.seen) for d in data)
     ]
     return "; ".join(texts)
 
 
-def _cost_table(comparison: BedComparison) -> Table:
+def _cost_table(comparison: Comparison[BedRunData]) -> Table:
     costs = comparison.costs
     linear, hertz = costs
 
     def line(name: str, of: Any) -> tuple[str, str, str]:
         return (name, *(of(c) for c in costs))
 
-    def share(part: float, cost: BedCost) -> str:
+    def share(part: float, cost: Cost) -> str:
         return f"{quantity(part, 's', 3)} ({part / cost.total:.0%})" if cost.total > 0.0 else quantity(part, "s", 3)
 
     rows = [
-        line("DEM steps", lambda c: quantity(c.dem.steps, "")),
-        line("DEM step dt", lambda c: quantity(c.dem.dt, "s")),
-        line("steps per (shortest) contact", lambda c: quantity(c.dem.steps_per_contact, "–", 4)),
+        line("DEM steps", lambda c: quantity(c.steps, "")),
+        line("DEM step dt", lambda c: quantity(c.dt, "s")),
+        line("steps per (shortest) contact", lambda c: quantity(c.steps_per_contact, "–", 4)),
         line("couplings", lambda c: quantity(c.couplings, "")),
-        line("CPU time, particles (DEM)", lambda c: share(c.dem.cpu_seconds, c)),
+        line("CPU time, particles (DEM)", lambda c: share(c.cpu_seconds, c)),
         line("CPU time, gas", lambda c: share(c.gas, c)),
         line("CPU time, exchange", lambda c: share(c.exchange, c)),
         line("CPU time, total", lambda c: quantity(c.total, "s", 3)),
         line("CPU time per simulated second", lambda c: quantity(c.total / c.simulated, "s", 3)),
-        line("wall time", lambda c: quantity(c.wall, "s", 3)),
+        line("wall time", lambda c: quantity(c.wall_seconds, "s", 3)),
     ]
-    speed, total = comparison.speed, comparison.total_speed
+    speed, total = comparison.speed, comparison.speed.total
     ratios = (
         quantity(speed.steps, "–", 3),
-        _ratio(hertz.dem.steps_per_contact, linear.dem.steps_per_contact),
+        _ratio(hertz.steps_per_contact, linear.steps_per_contact),
         _ratio(hertz.couplings, linear.couplings),
         "–" if speed.cpu is None else f"{speed.cpu:.3g}",
         "–" if speed.cpu is None else _ratio(hertz.gas, linear.gas),
         "–" if speed.cpu is None else _ratio(hertz.exchange, linear.exchange),
         "–" if total is None else f"{total:.3g}",
         "–" if total is None else _ratio(hertz.total / hertz.simulated, linear.total / linear.simulated),
-        _ratio(hertz.wall, linear.wall),
+        _ratio(hertz.wall_seconds, linear.wall_seconds),
     )
-    with_ratios = zip(rows, (ratios[0], _ratio(hertz.dem.dt, linear.dem.dt), *ratios[1:]), strict=True)
-    moving = any(c.dem.cpu_seconds > 0.0 for c in costs)
+    with_ratios = zip(rows, (ratios[0], _ratio(hertz.dt, linear.dt), *ratios[1:]), strict=True)
+    moving = any(c.cpu_seconds > 0.0 for c in costs)
     kept = tuple((*row, ratio) for row, ratio in with_ratios if moving or not _of_particles(row[0]))
     return Table(("", "linear", "Hertz", "Hertz / linear"), kept)
 
@@ -164,34 +165,34 @@ def _ratio(hertz: float | None, linear: float | None) -> str:
     return "–" if hertz is None or not linear else f"{hertz / linear:.3g}"
 
 
-def _invariant_table(comparison: BedComparison) -> Table:
+def _invariant_table(comparison: Comparison[BedRunData]) -> Table:
     rows = tuple(
         (
             i.name,
             i.text,
-            "–" if i.linear is None else f"{i.linear:.3g}",
-            "–" if i.hertz is None else f"{i.hertz:.3g}",
+            "–" if i.run is None else f"{i.run:.3g}",
+            "–" if i.reference is None else f"{i.reference:.3g}",
             f"{'more than' if i.at_least else 'at most'} {i.limit:g}",
             "ok" if i.holds else "outside",
         )
         for i in comparison.invariants
-        if not (i.holds and i.linear is i.hertz is None)
+        if not (i.holds and i.run is i.reference is None)
     )
     return Table(("", "", "linear", "Hertz", "limit", ""), rows)
 
 
-def _contact_warnings(comparison: BedComparison) -> list[str]:
+def _contact_warnings(comparison: Comparison[BedRunData]) -> list[str]:
     """What the calibration says about the pairs, each text once."""
     return [
         f"{'–'.join(pair)}: {warning}"
-        for data in (comparison.linear, comparison.hertz)
+        for data in (comparison.run, comparison.reference)
         for pair, contact in data.model.named.items()
         for warning in contact.warnings.values()
     ]
 
 
-def _settings(comparison: BedComparison) -> Table:
-    models = (comparison.linear.model, comparison.hertz.model)
+def _settings(comparison: Comparison[BedRunData]) -> Table:
+    models = (comparison.run.model, comparison.reference.model)
     scene = models[1].scene
     column, particles, gas = scene.column, scene.particles, scene.gas
     size = " × ".join(quantity(s, "m") for s in (column.width, column.depth, column.height))

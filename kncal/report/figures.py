@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kncal.core.checks import Array
-from kncal.observe.compare import Comparison, ExactMotion, RunData
+from kncal.observe.compare import Comparison
 from kncal.observe.contacts import overlaps
+from kncal.observe.run_data import ExactMotion, RunData
 from kncal.physics.material import sphere_mass
 from kncal.record.frames import Trajectory
 from kncal.report import plots
@@ -39,7 +40,7 @@ class Figure:
 
 
 def draw_figures(
-    comparison: Comparison, kn_curves: Mapping[str, Any], error_table: pd.DataFrame, folder: Path
+    comparison: Comparison[RunData], kn_curves: Mapping[str, Any], error_table: pd.DataFrame, folder: Path
 ) -> tuple[Figure, ...]:
     """Write every figure that the data allow as PNG and SVG into ``folder``.
 
@@ -84,12 +85,12 @@ def draw_figures(
     return tuple(figures)
 
 
-def _add_contact(comparison: Comparison, add: Callable[[str, Axes, str, str], None]) -> None:
+def _add_contact(comparison: Comparison[RunData], add: Callable[[str, Axes, str, str], None]) -> None:
     """Draw the first contact of the Hertz run in both models, unless nothing changes in it."""
-    contacts = comparison.hertz.observations.contacts
+    contacts = comparison.reference.observations.contacts
     if not contacts:
         return
-    both = (("linear", comparison.linear), ("hertz", comparison.hertz))
+    both = (("linear", comparison.run), ("hertz", comparison.reference))
     lines = [(kind, c) for kind, data in both if (c := _first_contact(data, contacts[0].pair)) is not None]
     runs = {kind: c.run for kind, c in lines}
     if not any(_changes(delta) for _, delta in runs.values()):
@@ -200,11 +201,11 @@ def _normal_force(contact: PairContact, delta: Array, rate: Array) -> Array:
     return np.maximum(force, 0.0) if contact.end == "force" else force
 
 
-def _motions(comparison: Comparison) -> tuple[str, dict[str, plots.Line]]:
+def _motions(comparison: Comparison[RunData]) -> tuple[str, dict[str, plots.Line]]:
     """Label and lines of the motion: gap to the wall that is hit first, else the largest displacement."""
     from scipy.interpolate import CubicHermiteSpline
 
-    data = comparison.hertz
+    data = comparison.reference
     scene = data.model.scene
     wall = None
     if data.observations.contacts:
@@ -219,7 +220,7 @@ def _motions(comparison: Comparison) -> tuple[str, dict[str, plots.Line]]:
         wall = None
         label = f"displacement of {scene.particles[particle].name} along {AXES[axis]}"
     lines = {}
-    for kind, run in (("linear", comparison.linear), ("hertz", comparison.hertz)):
+    for kind, run in (("linear", comparison.run), ("hertz", comparison.reference)):
         motion = run.trajectory
         # frames are far apart in flight, where the interpolant is exact
         times = np.union1d(motion.t, np.linspace(motion.t[0], motion.t[-1], _POINTS))

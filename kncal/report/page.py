@@ -16,9 +16,10 @@ from kncal.core.scratch import drawn_aside
 from kncal.core.templating import Page
 from kncal.core.units import percent, quantity
 from kncal.observe.compare import Comparison
+from kncal.observe.row import allowed, difference_text
+from kncal.observe.run_data import RunData
 from kncal.physics.methods import METHODS
 from kncal.report.figures import draw_figures
-from kncal.scene.metrics import metric_text
 from kncal.scene.scene import ContactChoice
 
 if TYPE_CHECKING:
@@ -71,7 +72,7 @@ class Table:
 
 
 def write_report(
-    comparison: Comparison,
+    comparison: Comparison[RunData],
     folder: Path,
     *,
     calibration_table: pd.DataFrame,
@@ -122,7 +123,7 @@ def write_report(
         if len(frame):
             write_csv(folder / name, frame, _units(frame))
             files.append(name)
-    scene = comparison.hertz.model.scene
+    scene = comparison.reference.model.scene
     methods, shared_warnings = _split_warnings(calibration_table)
     page = folder / "index.html"
     write_text(
@@ -131,10 +132,10 @@ def write_report(
             case=scene.name,
             title=scene.title,
             source=scene.source,
-            state=_state(comparison),
-            sentences=comparison.sentences,
+            state=comparison.state,
+            sentences=comparison.verdict.all,
             metrics=_metric_table(comparison),
-            trajectory_basis=comparison.trajectory_basis,
+            trajectory_basis=comparison.row("trajectory").basis,
             exact=_exact_table(comparison),
             costs=_cost_table(comparison),
             warnings=_warnings(comparison),
@@ -157,13 +158,7 @@ def page_template(name: str) -> Page:
     return Page(name)
 
 
-def _state(comparison: Comparison) -> str:
-    if not comparison.judged:
-        return "open"
-    return "within" if comparison.within else "outside"
-
-
-def _metric_table(comparison: Comparison) -> Table:
+def _metric_table(comparison: Comparison[RunData]) -> Table:
     rows = []
     for r in comparison.rows:
         remark = r.reason
@@ -172,38 +167,37 @@ def _metric_table(comparison: Comparison) -> Table:
         rows.append(
             (
                 r.metric,
-                "; ".join(filter(None, (metric_text(r.metric), remark))),
-                quantity(r.linear, r.unit),
-                quantity(r.hertz, r.unit),
-                percent(r.difference),
+                "; ".join(filter(None, (r.text, remark))),
+                quantity(r.run.value, r.unit),
+                quantity(r.reference.value, r.unit),
+                difference_text(r),
                 percent(r.exact_difference),
-                "–" if r.numerical is None else f"±{100.0 * r.numerical:.2g} %",
-                "" if r.tolerance is None else f"±{100.0 * r.tolerance:.3g} %",
+                "" if r.tolerance is None else allowed(r.tolerance),
                 "" if r.verdict == "-" else r.verdict,
             )
         )
-    headings = ("metric", "", "linear", "Hertz", "difference", "exact difference", "step error", "allowed", "")
+    headings = ("metric", "", "linear", "Hertz", "difference ± step error", "exact difference", "allowed", "")
     return Table(headings, tuple(rows))
 
 
-def _exact_table(comparison: Comparison) -> Table:
-    explained = {True: "yes", False: "no", None: "–"}
+def _exact_table(comparison: Comparison[RunData]) -> Table:
+    explained = {"ok": "yes", "outside": "no", "-": "–"}
     rows = tuple(
         (
             r.model,
             r.metric,
-            quantity(r.value, r.unit),
-            quantity(r.exact, r.unit),
-            percent(r.deviation),
-            "–" if r.predicted is None else f"±{100.0 * r.predicted:.2g} %",
-            explained[r.explained],
+            quantity(r.run.value, r.unit),
+            quantity(r.reference.value, r.unit),
+            percent(r.difference.value),
+            "–" if r.difference.width is None else f"±{100.0 * r.difference.width:.2g} %",
+            explained[r.verdict],
         )
         for r in comparison.exact
     )
     return Table(("model", "metric", "run", "exact", "deviation", "predicted", "explained by the step"), rows)
 
 
-def _cost_table(comparison: Comparison) -> Table:
+def _cost_table(comparison: Comparison[RunData]) -> Table:
     linear, hertz = comparison.costs
     rows = [
         ("solver", *(f"{c.engine} {c.version}" for c in (linear, hertz))),
@@ -221,7 +215,7 @@ def _cost_table(comparison: Comparison) -> Table:
     return Table(("", "linear", "Hertz"), tuple(rows))
 
 
-def _warnings(comparison: Comparison) -> list[str]:
+def _warnings(comparison: Comparison[RunData]) -> list[str]:
     """What the calibration says about the pairs that met."""
     return [text for _, text in comparison.limits]
 
@@ -247,7 +241,7 @@ def _method(contact: ContactChoice) -> dict[str, str] | None:
     return {name: getattr(method, name) for name in ("name", "title", "source", "keeps", "loses", "avoid")}
 
 
-def _with_cost(error_table: pd.DataFrame, comparison: Comparison) -> pd.DataFrame:
+def _with_cost(error_table: pd.DataFrame, comparison: Comparison[RunData]) -> pd.DataFrame:
     """The speed–accuracy table with the CPU time of the runs that were made; NaN where none was."""
     table = error_table.copy()
     if not len(table):

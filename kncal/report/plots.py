@@ -15,6 +15,7 @@ import numpy as np
 from kncal.core.checks import Array
 from kncal.core.errors import InputError
 from kncal.core.units import si_prefix
+from kncal.observe.impact_speeds import STATISTICS, ImpactSpeeds
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -261,3 +262,46 @@ def _plain_ticks(axis: Any) -> None:
     axis.set_major_locator(LogLocator(base=10, subs=(1.0, 2.0, 5.0)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
+
+
+#: Kind of impacts -> what meets; and the colours of a picture with two kinds.
+WHO_MEETS = {"particles": "two particles", "walls": "particle and wall", "all": "all contacts"}
+_IMPACT_COLOURS = ("#0072B2", "#D55E00")
+
+
+def plot_impact_speeds(speeds: Mapping[str, ImpactSpeeds], path: Path, title: str = "") -> None:
+    """Draw the shares of impacts per decade of speed, with the three speeds, into a picture (.png or .svg).
+
+    A bin that begins at zero has no place on the logarithmic axis and is left out.
+
+    Raises
+    ------
+    InputError
+        If there was no impact, or the file is not of a kind that is drawn.
+    """
+    shown = [found for found in speeds.values() if found.count]
+    if not shown:
+        raise InputError("impact speeds: there was no impact to draw")
+    if path.suffix not in (".png", ".svg"):
+        raise InputError(f"{path}: expected a picture name that ends in .png or .svg")
+    ax = new_axes(6.6, 5.0)
+    dashes = dict(zip(STATISTICS, (":", "-", "--"), strict=True))
+    for found, colour in zip(shown, _IMPACT_COLOURS, strict=False):
+        edges, counts = found.edges[1:], found.counts[1:]
+        used = np.flatnonzero(counts)
+        part = slice(max(int(used[0]) - 1, 0), int(used[-1]) + 2) if len(used) else slice(0, 1)
+        density = counts[part] / found.count / np.diff(np.log10(edges))[part]
+        label = f"{WHO_MEETS[found.kind]}, {found.count} impacts"
+        ax.stairs(density, edges[part.start : part.start + len(density) + 1], color=colour, label=label, fill=False)
+        for name, estimate in found.speeds.items():
+            told = f"{STATISTICS[name]} {estimate.value:.3g} m/s"
+            ax.axvline(estimate.value, color=colour, linestyle=dashes[name], linewidth=1.2, label=told)
+    ax.set_xscale("log")
+    ax.set_ylim(bottom=0.0)
+    ax.set_xlabel("impact speed v_0 [m/s]")
+    ax.set_ylabel("share of impacts per decade [–]")
+    ax.set_title(title, fontsize=10)
+    figure = ax.get_figure(root=True)
+    if figure is not None:
+        figure.legend(fontsize=8, loc="outside lower center", ncols=len(shown))
+        figure.savefig(path, dpi=130, metadata={"Software": None} if path.suffix == ".png" else {"Date": None})

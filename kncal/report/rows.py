@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from kncal.core.units import quantity, si_prefix
-from kncal.observe.bed_rows import BedRow
-from kncal.observe.bed_verdict import difference_text, plus_minus
+from kncal.core.units import plus_minus, quantity, si_prefix
+from kncal.observe.row import Row, allowed, difference_text
 
 _SIDES = ("linear", "hertz")
 
@@ -44,13 +43,13 @@ class Lines:
     unseen: tuple[tuple[str, str], ...]
 
 
-def lines_of(rows: Sequence[BedRow]) -> Lines:
+def lines_of(rows: Sequence[Row]) -> Lines:
     """Return the table of ``rows``, in their order."""
     notes: dict[str, int] = {}
     shown: list[Line] = []
     unseen: dict[str, list[str]] = {}
     for r in rows:
-        if r.linear is r.hertz is r.difference is r.tolerance is None:
+        if not r.seen and r.tolerance is None:
             unseen.setdefault(r.reason or "not observed", []).append(r.metric)
             continue
         numbers = [notes.setdefault(note, len(notes) + 1) for note in split_reason(r.reason)]
@@ -75,21 +74,21 @@ def split_reason(reason: str) -> list[str]:
     ]
 
 
-def _line(r: BedRow, notes: tuple[int, ...]) -> Line:
-    remarks = [] if r.basis in ("", "relative to hertz") else [f"difference: {r.basis}"]
+def _line(r: Row, notes: tuple[int, ...]) -> Line:
+    remarks = [] if not r.basis or r.basis.startswith("relative") else [f"difference: {r.basis}"]
     if r.verdict == "undecided":
-        needed = "out of reach" if r.needed_end_time is None else f"until about {r.needed_end_time:.3g} s"
+        needed = "out of reach" if (end := r.difference.needed_end) is None else f"until about {end:.3g} s"
         remarks.append(f"to decide, run {needed}")
-    seen = {True: "yes", False: "none seen", None: "not known"}[r.significant]
+    seen = {True: "yes", False: "none seen", None: "not known"}[r.difference.significant]
     return Line(
         name=r.metric,
         notes=notes,
         text=r.text,
-        linear=with_uncertainty(r.linear, r.linear_uncertainty, r.unit),
-        hertz=with_uncertainty(r.hertz, r.hertz_uncertainty, r.unit),
+        linear=with_uncertainty(r.run.value, r.run.width, r.unit),
+        hertz=with_uncertainty(r.reference.value, r.reference.width, r.unit),
         difference=difference_text(r),
-        seen="" if r.difference is None else seen,
-        allowed="" if r.tolerance is None else f"±{100.0 * r.tolerance:.3g} %",
+        seen="" if r.difference.value is None else seen,
+        allowed="" if r.tolerance is None else allowed(r.tolerance),
         verdict="" if r.verdict == "-" else r.verdict,
         remark="; ".join(remarks),
     )

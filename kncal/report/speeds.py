@@ -8,17 +8,18 @@ from pathlib import Path
 
 from kncal.core.units import quantity
 from kncal.observe.averages import window_start
-from kncal.observe.bed_compare import BedComparison
+from kncal.observe.compare import Comparison
 from kncal.observe.impact_speeds import (
     KINDS_OF_IMPACTS,
     STATISTICS,
     ImpactSpeeds,
     bed_impact_speeds,
-    plot_impact_speeds,
 )
+from kncal.observe.run_data import BedRunData
 from kncal.physics.statistics import Interval
 from kncal.report.figures import Figure
 from kncal.report.page import Table
+from kncal.report.plots import plot_impact_speeds
 from kncal.scene.bed_scene import PARTICLES
 from kncal.scene.model import BedModel
 
@@ -44,14 +45,14 @@ class SpeedsSection:
     figures: tuple[Figure, ...] = ()
 
 
-def speeds_section(comparison: BedComparison, folder: Path) -> SpeedsSection | None:
+def speeds_section(comparison: Comparison[BedRunData], folder: Path) -> SpeedsSection | None:
     """Return the section, and draw its pictures into ``folder``; None where no particles can meet."""
     sentences: list[str] = []
     rows: list[tuple[str, ...]] = []
     notes: dict[str, None] = {}
     figures: list[Figure] = []
     headings = ("run", "contact of", "impacts", "mean", "energy-weighted", "99 %", "v_0", "")
-    for data in (comparison.linear, comparison.hertz):
+    for data in (comparison.run, comparison.reference):
         model, kind = data.model, data.model.kind
         if not model.contacts:
             continue

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from kncal.core.files import write_csv
-from kncal.observe.compare import RunData
+from kncal.observe.run_data import RunData
 from kncal.record.paraview import write_particles
 
 #: Frames for ParaView are thinned to about this many files.

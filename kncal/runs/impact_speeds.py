@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 from kncal.core.errors import InputError
 from kncal.observe.averages import window_start
-from kncal.observe.bed_compare import BedRunData
-from kncal.observe.compare import RunData
 from kncal.observe.impact_speeds import (
     Enduring,
     ImpactSpeeds,
@@ -20,6 +18,7 @@ from kncal.observe.impact_speeds import (
     enduring,
     stiffness_at,
 )
+from kncal.observe.run_data import BedRunData, RunData
 from kncal.physics.material import Pair
 from kncal.runs.workflow import load
 from kncal.scene.bed_scene import PARTICLES, BedScene

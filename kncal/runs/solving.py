@@ -24,9 +24,8 @@ from kncal.engines.dpmfoam.case import write_case
 from kncal.engines.liggghts.deck import DATA, DECK, bed_deck, write_deck
 from kncal.engines.loop import gas_setup
 from kncal.engines.settle import packing, to_settle
-from kncal.observe.bed_compare import BedRunData
-from kncal.observe.compare import RunData
 from kncal.observe.contacts import observe
+from kncal.observe.run_data import BedRunData, RunData
 from kncal.record.liggghts_log import END_MARKER
 from kncal.record.outcome import RunResult
 from kncal.record.series import read_series, series_reaches, write_series_csv

@@ -24,8 +24,8 @@ from kncal.core.files import write_json
 from kncal.core.scratch import scratch
 from kncal.engines.base import Engine, Progress, Tell
 from kncal.engines.coupled import Coupled
-from kncal.observe.bed_compare import BedComparison, BedRunData, compare_beds
-from kncal.observe.compare import Comparison, RunData, compare
+from kncal.observe.compare import Comparison, compare
+from kncal.observe.run_data import BedRunData, RunData
 from kncal.record.outcome import RunResult
 from kncal.runs.folder import (
     REPORT,
@@ -316,14 +316,14 @@ def load_pair(linear: Path, hertz: Path) -> tuple[Any, Any]:
     return runs
 
 
-def compare_runs(linear: Any, hertz: Any) -> Comparison | BedComparison:
+def compare_runs(linear: Any, hertz: Any) -> Comparison[Any]:
     """Compare a linear with a Hertz run of the same scene, as `load_pair` returns them."""
-    if isinstance(linear, BedRunData):
-        return compare_beds(linear, hertz)
-    return compare(complete(linear), complete(hertz))
+    if isinstance(linear, RunData):
+        linear, hertz = complete(linear), complete(hertz)
+    return compare(linear, hertz)
 
 
-def compare_case(out: Path, report: Path | None = None) -> tuple[Comparison | BedComparison, Path]:
+def compare_case(out: Path, report: Path | None = None) -> tuple[Comparison[Any], Path]:
     """Compare the linear and the Hertz run in ``out``; write the report (to OUT/report), return both."""
     comparison = compare_runs(*load_both(out))
     return comparison, report_on(comparison, report or out / REPORT)
@@ -364,12 +364,12 @@ def export(data: RunData | BedRunData, *, paraview: bool = False) -> None:
         export_paraview(data)
 
 
-def report_on(comparison: Comparison | BedComparison, folder: Path) -> Path:
+def report_on(comparison: Comparison[Any], folder: Path) -> Path:
     """Write the report of a comparison, with every table that its scene allows; returns the page's path."""
-    runs = (comparison.linear, comparison.hertz)
+    runs = comparison.runs
     models: dict[str, Any] = {r.model.kind: r.model for r in runs}
     provenance = {r.model.kind: read_manifest(r.result.folder) for r in runs}
-    if isinstance(comparison, BedComparison):
+    if isinstance(comparison.run, BedRunData):
         from kncal.report.bed_page import write_bed_report
 
         return write_bed_report(comparison, folder, warnings=list(warnings_of(models)), provenance=provenance)
@@ -380,7 +380,7 @@ def report_on(comparison: Comparison | BedComparison, folder: Path) -> Path:
     from kncal.scene.needs import decide
     from kncal.scene.plan import pair_choice, pair_of
 
-    scene = comparison.hertz.model.scene
+    scene = comparison.reference.model.scene
     a, b = scene.body_pairs()[0]
     e_n, _, v_0, _ = pair_choice(scene, a, b)
     table, curves = pd.DataFrame(), {}

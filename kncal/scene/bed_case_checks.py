@@ -13,7 +13,6 @@ import numpy as np
 from kncal.core.checks import Array
 from kncal.physics.drag import DRAGS
 from kncal.physics.statistics import MIN_SAMPLES
-from kncal.scene.bed_metrics import BED_METRICS
 from kncal.scene.bed_schema import MOST_CELLS, BedTable
 from kncal.scene.case_checks import (
     RIGID,
@@ -23,7 +22,9 @@ from kncal.scene.case_checks import (
     known_name,
     material_problems,
     needs_problems,
+    tolerance_problems,
 )
+from kncal.scene.metrics import COUPLED
 
 #: The names of the two kinds of bodies in the exceptions of a bed.
 PARTICLES, WALLS = "particles", "walls"
@@ -198,8 +199,7 @@ def _run(case: BedTable) -> Iterator[Problem]:
 
 
 def _names(case: BedTable) -> Iterator[Problem]:
-    for name in case.tolerances:
-        yield from known_name(("tolerances", name), name, BED_METRICS, "metric")
+    yield from tolerance_problems(case.tolerances, COUPLED)
     yield from needs_problems(case.needs)
 
 

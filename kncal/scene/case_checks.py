@@ -10,7 +10,7 @@ from kncal.core.checks import one_of
 from kncal.core.errors import InputError
 from kncal.physics.material import Material
 from kncal.scene.case_schema import MEASURED, CaseTable, ContactTable, MaterialTable, MeasuredTable
-from kncal.scene.metrics import METRICS
+from kncal.scene.metrics import FEW_PARTICLES, METRICS, offered, split_metric
 from kncal.scene.needs import OVERRULABLE
 from kncal.scene.scene import AXES, ContactChoice, MeasuredSpeed, PairChoice
 
@@ -19,8 +19,6 @@ Problem = tuple[Path, str]
 
 #: What ``material = ...`` of a wall says for a rigid one; no material may have this name.
 RIGID = "rigid"
-#: Metrics that every contact has; later contacts have them with a suffix _2, _3 ...
-_OF_EACH_CONTACT = ("e_n", "t_c", "delta_max", "delta_mean", "v_out", "rebound_height")
 
 
 def problems(case: CaseTable) -> list[Problem]:
@@ -198,10 +196,16 @@ def _geometry(case: CaseTable) -> Iterator[Problem]:
 
 
 def _tolerances(case: CaseTable) -> Iterator[Problem]:
-    later = {f"{base}_{n}" for base in _OF_EACH_CONTACT for n in range(2, 100)}
-    for name in case.tolerances:
-        if name not in later:
-            yield from known_name(("tolerances", name), name, METRICS, "metric")
+    return tolerance_problems(case.tolerances, FEW_PARTICLES)
+
+
+def tolerance_problems(tolerances: Collection[str], recorded: Collection[str]) -> Iterator[Problem]:
+    """Yield what is wrong with the names in ``[tolerances]`` of a case whose runs record ``recorded``."""
+    offer = offered(recorded)
+    for name in tolerances:
+        base, contact = split_metric(name)
+        if not (base in offer and METRICS[base].each and contact in range(2, 100) and name == f"{base}_{contact}"):
+            yield from known_name(("tolerances", name), name, offer, "metric")
 
 
 def _needs(case: CaseTable) -> Iterator[Problem]:

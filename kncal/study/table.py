@@ -30,6 +30,9 @@ from kncal.study.states import WAITING, failure_class, read_states, state_of
 if TYPE_CHECKING:
     import pandas as pd
 
+    from kncal.observe.compare import Comparison
+    from kncal.observe.run_data import BedRunData, RunData
+
 CSV, PARQUET = "sweep.csv", "sweep.parquet"
 #: Columns behind the values of a run and its model, in this order; metrics, uncertainties, differences follow.
 _FIXED = ("status", "class", "message", "cpu_seconds", "wall_seconds", "dt", "steps", "verdict")
@@ -59,7 +62,7 @@ def ended_rows(sweep: Sweep, folder: Path, run: str) -> list[Row]:
         return kept
     results = {kind: read_result(out / kind) for kind in digests}
     rows = [_row(run, kind, results.get(kind)) for kind in sweep.models]
-    if not all(row["status"] == "completed" for row in rows) or _add_numbers(sweep, out, rows):
+    if not all(row["status"] == "completed" for row in rows) or _add_numbers(out, rows):
         _keep(out, digests, rows)
     return rows
 
@@ -86,11 +89,11 @@ def _row(run: str, kind: str, result: RunResult | None) -> Row:
     }
 
 
-def _add_numbers(sweep: Sweep, out: Path, rows: list[Row]) -> bool:
+def _add_numbers(out: Path, rows: list[Row]) -> bool:
     """Add metrics and comparison; where they cannot be had, the message says why and False is returned."""
     by_kind = {row["model"]: row for row in rows}
     try:
-        (_bed_numbers if sweep.bed else _contact_numbers)(out, by_kind)
+        _numbers(out, by_kind)
     except KncalError as error:
         for row in rows:
             row["message"] = f"no numbers: {error}"
@@ -98,43 +101,27 @@ def _add_numbers(sweep: Sweep, out: Path, rows: list[Row]) -> bool:
     return True
 
 
-def _contact_numbers(out: Path, rows: Mapping[str, Row]) -> None:
+def _numbers(out: Path, rows: Mapping[str, Row]) -> None:
     from kncal.observe.compare import compare
-    from kncal.runs.workflow import load_run
+    from kncal.runs.workflow import load
 
-    runs = {kind: load_run(out / kind) for kind in rows}
+    runs: dict[str, Any] = {kind: load(out / kind) for kind in rows}
     for kind, data in runs.items():
-        rows[kind] |= _finite(data.observations.metrics)
+        rows[kind] |= _metrics(data)
     if len(runs) == 2:
-        comparison = compare(runs["linear"], runs["hertz"])
-        verdict = "open" if not comparison.judged else "within" if comparison.within else "outside"
-        rows["linear"] |= {"verdict": verdict}
-        rows["linear"] |= _finite({f"difference.{r.metric}": r.difference for r in comparison.rows})
+        rows["linear"] |= _differences(compare(runs["linear"], runs["hertz"]))
 
 
-def _bed_numbers(out: Path, rows: Mapping[str, Row]) -> None:
-    from kncal.observe.averages import observe_bed
-    from kncal.observe.bed_compare import compare_beds
-    from kncal.observe.quantities import quantities
-    from kncal.runs.workflow import load_bed_run
+def _metrics(run: RunData | BedRunData) -> Row:
+    values = {name: found.value for name, found in run.estimates.items()}
+    return _finite(values | {f"uncertainty.{name}": found.width for name, found in run.estimates.items()})
 
-    runs = {kind: load_bed_run(out / kind) for kind in rows}
-    if len(runs) == 2:
-        comparison = compare_beds(runs["linear"], runs["hertz"])
-        for r in comparison.rows:
-            rows["linear"] |= _finite({r.metric: r.linear, f"uncertainty.{r.metric}": r.linear_uncertainty})
-            rows["hertz"] |= _finite({r.metric: r.hertz, f"uncertainty.{r.metric}": r.hertz_uncertainty})
-            rows["linear"] |= _finite({f"difference.{r.metric}": r.difference})
-            rows["linear"] |= _finite({f"difference_uncertainty.{r.metric}": r.uncertainty})
-        rows["linear"] |= {"verdict": comparison.state}
-        return
-    for kind, data in runs.items():
-        scene = data.model.scene
-        found = quantities(data.series, observe_bed(data.series, scene.run.discard, scene.gas))
-        for name, side in found.sides.items():
-            if side.average is not None:
-                both = {name: side.average.mean, f"uncertainty.{name}": side.average.uncertainty}
-                rows[kind] |= _finite(both)
+
+def _differences(comparison: Comparison[Any]) -> Row:
+    found = {row.metric: row.difference for row in comparison.rows}
+    values = {f"difference.{name}": each.value for name, each in found.items()}
+    values |= {f"difference_uncertainty.{name}": each.width for name, each in found.items()}
+    return {"verdict": comparison.state, **_finite(values)}
 
 
 def _finite(values: Mapping[str, float | None]) -> Row:

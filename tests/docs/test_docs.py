@@ -211,7 +211,7 @@ def test_every_table_of_the_schema_and_every_registry_stands_in_the_reference() 
     roots = (case_schema.CaseTable, bed_schema.BedTable)
     tables = {part for root in roots for part in (root, *root.parts.values())} | {case_schema.MaterialTable}
     wanted = {f"{table.__module__}.{table.__name__}" for table in tables}
-    wanted |= {"kncal.physics.methods.METHODS", "kncal.scene.metrics.METRICS", "kncal.scene.bed_metrics.BED_METRICS"}
+    wanted |= {"kncal.physics.methods.METHODS", "kncal.scene.metrics.FEW_PARTICLES", "kncal.scene.metrics.COUPLED"}
     shown = "".join(page.read_text("utf-8") for page in (CASE_FILE, BED_FILE))
     assert set(re.findall(r"<!-- table: (.*?) -->", shown)) == wanted
     assert {row[0].strip("`") for row in _rows(_section(CASE_FILE, "`[needs]`"))} == set(OVERRULABLE)

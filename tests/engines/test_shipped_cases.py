@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from kncal.core.shipped import folder as resource
-from kncal.observe.compare import RunData
 from kncal.observe.compare import compare as compare_runs
+from kncal.observe.run_data import RunData
 from kncal.runs.solving import get_engine
 from kncal.runs.workflow import complete, load_run, require_completed, run_case
 from kncal.scene.case_file import load_case, shipped_cases

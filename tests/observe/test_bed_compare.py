@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -15,21 +14,24 @@ from hypothesis import strategies as st
 
 from kncal.core.errors import InputError, RunError
 from kncal.core.files import write_json
-from kncal.observe.bed_compare import BedComparison, BedRunData, compare_beds
-from kncal.observe.bed_rows import DOUBT, Side, decide, judge, judge_field
+from kncal.observe.compare import Comparison, compare
+from kncal.observe.difference import field_difference
+from kncal.observe.estimate import Estimate, apart, averaged, decide
+from kncal.observe.row import Row, judge
+from kncal.observe.run_data import BedRunData
 from kncal.physics.statistics import Average, average
 
 pytestmark = pytest.mark.slow
 
 
-def side(seed: int, mean: float = 10.0, length: float = 40.0, tau: float = TAU) -> Side:
+def side(seed: int, mean: float = 10.0, length: float = 40.0, tau: float = TAU) -> Estimate:
     n = round(length / COUPLING)
     t = COUPLING * np.arange(1, n + 1)
     values = mean + ar1(np.random.default_rng(seed), n, tau)
-    return Side(average=average(t, values, 0.0), missing="", begin=0.0, end=float(t[-1]))
+    return averaged(average(t, values, 0.0), 0.0, float(t[-1]))
 
 
-def known(mean: float, uncertainty: float, reliable: bool = True, length: float = 4.0) -> Side:
+def known(mean: float, uncertainty: float, reliable: bool = True, length: float = 4.0) -> Estimate:
     found = Average(
         mean=mean,
         uncertainty=uncertainty,
@@ -42,33 +44,45 @@ def known(mean: float, uncertainty: float, reliable: bool = True, length: float 
         reliable=reliable,
         why="" if reliable else "only 5 independent samples",
     )
-    return Side(average=found, missing="", begin=0.0, end=length)
+    return averaged(found, 0.0, length)
+
+
+def between(a: Estimate, b: Estimate, tolerance: float | None = None) -> Row:
+    """Two averages, judged relative to the second."""
+    scale = abs(b.value)
+    found = apart(a, b, scale, ("linear", "hertz"))
+    row = Row(metric="z_mean", unit="m", text="", run=a, reference=b, difference=found, scale=scale, basis="relative")
+    return judge(row, tolerance)
+
+
+def fields(rms: float, noise: float, tolerance: float | None) -> Row:
+    return judge(field_difference("eps_g", rms, noise, 4.0), tolerance)
 
 
 @pytest.fixture(scope="module")
-def different() -> BedComparison:
+def different() -> Comparison:
     """Equal beds but for the overlap, which is 25 % larger in the linear run."""
     linear = run_data("linear", 1, length=8.0, means={"overlap_mean": 1.25 * MEANS["overlap_mean"]}, tau=0.02)
-    return compare_beds(
+    return compare(
         linear, run_data("hertz", 2, length=8.0, tau=0.02, cpu=(36.0, 5.0, 1.0)), {"z_mean": 0.05, "overlap_mean": 0.1}
     )
 
 
 def test_a_known_difference_is_found_with_its_size(different):
     row = different.row("overlap_mean")
-    assert row.significant
+    assert row.difference.significant
     assert row.verdict == "outside"
     # twice the 95 % half-width: 1 in 10,000
-    assert row.difference == pytest.approx(0.25, abs=2.0 * row.uncertainty)
+    assert row.difference.value == pytest.approx(0.25, abs=2.0 * row.difference.width)
     assert different.row("z_mean").verdict == "ok"
     assert different.state == "outside"
     assert not different.within
-    assert "overlap_mean by +2" in different.sentences[0]
+    assert "overlap_mean by +2" in different.verdict.sentence
 
 
 def test_equal_beds_are_called_different_at_the_stated_rate():
-    rows = [judge("z_mean", side(2 * seed), side(2 * seed + 1), None) for seed in range(300)]
-    called = sum(row.significant is True for row in rows)
+    rows = [between(side(2 * seed), side(2 * seed + 1), None) for seed in range(300)]
+    called = sum(row.difference.significant is True for row in rows)
     # one in twenty: 15 of 300; five standard deviations of the binomial above, and not never
     assert 1 <= called <= 15 + 5 * math.sqrt(300 * 0.05 * 0.95)
 
@@ -76,9 +90,7 @@ def test_equal_beds_are_called_different_at_the_stated_rate():
 def test_a_difference_at_the_tolerance_is_hardly_ever_called_ok_or_outside():
     """Two one-sided tests: each wrong answer in at most one of forty."""
     tolerance = 0.05
-    verdicts = [
-        judge("z_mean", side(1000 + 2 * s, 10.5), side(1001 + 2 * s, 10.0), tolerance).verdict for s in range(300)
-    ]
+    verdicts = [between(side(1000 + 2 * s, 10.5), side(1001 + 2 * s, 10.0), tolerance).verdict for s in range(300)]
     for wrong in ("ok", "outside"):
         assert verdicts.count(wrong) <= 7.5 + 5 * math.sqrt(7.5), wrong
 
@@ -87,10 +99,10 @@ def test_doubtful_intervals_taken_wider_keep_their_promise():
     """Three times the stated half-width of an average over few independent samples covers 95 %."""
     hits = []
     for seed in range(400):
-        found = side(5000 + seed, 0.0, length=1.5, tau=0.1).average  # 7 independent samples
-        assert found is not None
+        found = side(5000 + seed, 0.0, length=1.5, tau=0.1)  # 7 independent samples
+        assert found.value is not None
         if not found.reliable:
-            hits.append(abs(found.mean) <= DOUBT * found.uncertainty)
+            hits.append(abs(found.value) <= found.deciding)
     assert len(hits) > 200
     assert np.mean(hits) > 0.95
 
@@ -99,14 +111,14 @@ def test_short_runs_are_undecided_and_say_how_long_they_must_be():
     """The predicted length does decide: of equal beds run that long most are found within the tolerance."""
     tolerance, decided, undecided = 0.02, 0, 0
     for seed in range(40):
-        short = judge("z_mean", side(20000 + seed, length=4.0), side(30000 + seed, length=4.0), tolerance)
+        short = between(side(20000 + seed, length=4.0), side(30000 + seed, length=4.0), tolerance)
         if short.verdict != "undecided":
             continue
         undecided += 1
-        assert short.needed_end_time is not None
-        assert short.needed_end_time > 4.0
-        length = min(short.needed_end_time, 400.0)
-        long = judge("z_mean", side(40000 + seed, length=length), side(50000 + seed, length=length), tolerance)
+        assert short.difference.needed_end is not None
+        assert short.difference.needed_end > 4.0
+        length = min(short.difference.needed_end, 400.0)
+        long = between(side(40000 + seed, length=length), side(50000 + seed, length=length), tolerance)
         decided += long.verdict == "ok"
     assert undecided >= 20
     assert decided >= 0.75 * undecided
@@ -114,51 +126,49 @@ def test_short_runs_are_undecided_and_say_how_long_they_must_be():
 
 def test_undecided_is_a_verdict_of_its_own():
     scene = replace(SCENE, tolerances={"z_mean": 0.001})
-    found = compare_beds(
-        run_data("linear", 3, scene=scene, bubble=False), run_data("hertz", 4, scene=scene, bubble=False)
-    )
+    found = compare(run_data("linear", 3, scene=scene, bubble=False), run_data("hertz", 4, scene=scene, bubble=False))
     assert found.state == "undecided"
     assert not found.within
     row = found.row("z_mean")
-    assert row.uncertainty > row.tolerance
-    assert found.sentences[0].startswith("Undecided: ")
-    assert found.needed_end_time == row.needed_end_time
-    if row.needed_end_time is not None:
-        assert row.needed_end_time > 4.0
-        assert f"{row.needed_end_time:.3g} s" in found.sentences[0]
+    assert row.difference.width > row.tolerance
+    assert found.verdict.sentence.startswith("Undecided: ")
+    assert found.needed_end == row.difference.needed_end
+    if row.difference.needed_end is not None:
+        assert row.difference.needed_end > 4.0
+        assert f"{row.difference.needed_end:.3g} s" in found.verdict.sentence
 
 
 def test_a_run_compared_with_itself_shows_no_difference():
     data = run_data("hertz", 5, tau=0.02, length=8.0, bubble=False)
-    found = compare_beds(data, data, {"pressure_drop": 0.05, "z_mean": 0.05})
+    found = compare(data, data, {"pressure_drop": 0.05, "z_mean": 0.05})
     for row in found.rows:
-        assert row.difference in (None, 0.0), row.metric
-        assert not row.significant, row.metric
+        assert row.difference.value in (None, 0.0), row.metric
+        assert not row.difference.significant, row.metric
     assert found.within
     assert found.state == "within"
 
 
 def test_fluctuation_and_overlap_share_are_those_of_the_signals():
     data = run_data("hertz", 6, length=20.0, tau=0.02, bubble=False)
-    found = compare_beds(data, data, {})
+    found = compare(data, data, {})
     row = found.row("pressure_fluctuation")
-    assert row.hertz == pytest.approx(SPREAD * MEANS["p_in"], abs=2.0 * row.hertz_uncertainty)
+    assert row.reference.value == pytest.approx(SPREAD * MEANS["p_in"], abs=2.0 * row.reference.width)
     # exponential overlaps: the share above a limit is exp(-limit/mean)
     row = found.row("overlap_share")
     expected = math.exp(-0.01 * SCENE.particles.diameter / MEANS["overlap_mean"])
-    assert row.hertz == pytest.approx(expected, abs=2.0 * row.hertz_uncertainty + 0.2 * expected)  # bins
+    assert row.reference.value == pytest.approx(expected, abs=2.0 * row.reference.width + 0.2 * expected)  # bins
 
 
 def test_the_weight_balance_closes_and_an_open_one_is_reported():
     data = run_data("hertz", 7, bubble=False)
-    found = compare_beds(data, data, {})
-    assert abs(found.row("weight_closure").hertz) < 1e-12
+    found = compare(data, data, {})
+    assert abs(found.row("weight_closure").reference.value) < 1e-12
     assert all(i.holds for i in found.invariants)
     lost = replace(data, series=replace(data.series, floor=data.series.floor + 0.02 * data.series.facts.weight))
-    found = compare_beds(data, lost, {})
-    assert found.row("weight_closure").hertz == pytest.approx(0.02, rel=1e-9)
+    found = compare(data, lost, {})
+    assert found.row("weight_closure").reference.value == pytest.approx(0.02, rel=1e-9)
     assert [i.name for i in found.invariants if not i.holds] == ["weight_closure"]
-    assert any("weight_closure" in text and "trusted" in text for text in found.sentences)
+    assert any("weight_closure" in text and "trusted" in text for text in found.verdict.all)
 
 
 def test_momentum_of_the_particles_belongs_to_the_balance():
@@ -166,8 +176,8 @@ def test_momentum_of_the_particles_belongs_to_the_balance():
     data = run_data("hertz", 8, bubble=False)
     extra = 0.1 * data.series.facts.weight
     moving = replace(data.series, floor=data.series.floor + extra, momentum_z=extra * data.series.t)
-    found = compare_beds(data, replace(data, series=moving), {})
-    assert abs(found.row("weight_closure").hertz) < 1e-9
+    found = compare(data, replace(data, series=moving), {})
+    assert abs(found.row("weight_closure").reference.value) < 1e-9
 
 
 @pytest.mark.parametrize(
@@ -178,17 +188,17 @@ def test_one_bad_coupling_breaks_an_invariant(name, value):
     values = getattr(data.series, name).copy()
     values[3] = value
     bad = replace(data, series=replace(data.series, **{name: values}))
-    found = compare_beds(data, bad, {})
+    found = compare(data, bad, {})
     assert [i.name for i in found.invariants if not i.holds] == [name]
     values[3] = np.nan
-    found = compare_beds(data, bad, {})
+    found = compare(data, bad, {})
     assert [i.name for i in found.invariants if not i.holds] == [name]
 
 
 def test_costs_are_split_and_the_speed_is_that_of_the_particles(different):
     assert different.speed.cpu == pytest.approx(36.0 / 12.0)
-    assert different.total_speed == pytest.approx(42.0 / 18.0)
-    linear, hertz = (d.result.steps for d in (different.linear, different.hertz))
+    assert different.speed.total == pytest.approx(42.0 / 18.0)
+    linear, hertz = (d.result.steps for d in different.runs)
     assert different.speed.steps == hertz / linear
     assert different.costs[0].exchange_share == pytest.approx(1.0 / 18.0)
 
@@ -205,19 +215,19 @@ def test_the_comparison_is_plain_json(different, tmp_path):
 def test_what_cannot_be_compared_is_refused():
     good = run_data("hertz", 10, bubble=False)
     with pytest.raises(RunError, match="lost atoms"):
-        compare_beds(run_data("linear", 11, status="failed", bubble=False), good)
+        compare(run_data("linear", 11, status="failed", bubble=False), good)
     with pytest.raises(RunError, match="cpu_gas"):
-        compare_beds(replace(good, result=replace(good.result, extra={"transport": "live", "cpu_dem": 1.0})), good)
+        compare(replace(good, result=replace(good.result, extra={"transport": "live", "cpu_dem": 1.0})), good)
     other = replace(SCENE, gas=None)
     with pytest.raises(InputError, match="differ in their gas"):
-        compare_beds(replace(good, model=replace(good.model, scene=other)), good)
+        compare(replace(good, model=replace(good.model, scene=other)), good)
     with pytest.raises(InputError, match=r"0\.05 means 5 %"):
-        compare_beds(good, good, {"z_mean": -1.0})
+        compare(good, good, {"z_mean": -1.0})
 
 
 def test_a_tolerance_for_what_was_not_observed_fails():
     data = run_data("hertz", 12, bubble=False)
-    found = compare_beds(data, data, {"U_mf": 0.1})
+    found = compare(data, data, {"U_mf": 0.1})
     assert found.row("U_mf").verdict == "missing"
     assert found.state == "outside"
     assert not found.within
@@ -232,38 +242,37 @@ def test_less_uncertainty_never_turns_a_verdict_around(difference, width, limit,
 
 
 def test_doubtful_averages_need_a_wide_margin():
-    assert judge("z_mean", known(1.00, 0.01), known(1.0, 0.01), 0.05).verdict == "ok"
-    assert judge("z_mean", known(1.00, 0.02, False), known(1.0, 0.02), 0.05).verdict == "undecided"
-    assert judge("z_mean", known(1.00, 0.001, False), known(1.0, 0.001), 0.05).verdict == "ok"
-    assert judge("z_mean", known(1.03, 0.01, False), known(1.0, 0.01), None).significant is None
-    assert judge("z_mean", known(1.10, 0.01, False), known(1.0, 0.01), None).significant is True
+    assert between(known(1.00, 0.01), known(1.0, 0.01), 0.05).verdict == "ok"
+    assert between(known(1.00, 0.02, False), known(1.0, 0.02), 0.05).verdict == "undecided"
+    assert between(known(1.00, 0.001, False), known(1.0, 0.001), 0.05).verdict == "ok"
+    assert between(known(1.03, 0.01, False), known(1.0, 0.01), None).difference.significant is None
+    assert between(known(1.10, 0.01, False), known(1.0, 0.01), None).difference.significant is True
 
 
 def test_fields_are_judged_less_the_noise_of_sampling():
-    assert judge_field("eps_g", 0.02, 0.02, None, 4.0).significant is False
-    assert judge_field("eps_g", 0.02, 0.02, 0.03, 4.0).verdict == "ok"
-    assert judge_field("eps_g", 0.04, 0.02, 0.03, 4.0).verdict == "undecided"
-    assert judge_field("eps_g", 0.10, 0.02, 0.03, 4.0).verdict == "outside"
-    assert judge_field("eps_g", None, 0.0, 0.03, 4.0, "no gas").verdict == "missing"
+    assert fields(0.02, 0.02, None).difference.significant is False
+    assert fields(0.02, 0.02, 0.03).verdict == "ok"
+    assert fields(0.04, 0.02, 0.03).verdict == "undecided"
+    assert fields(0.10, 0.02, 0.03).verdict == "outside"
 
 
 def test_signals_of_both_runs_may_be_of_any_length():
     linear = run_data("linear", 13, length=4.0, bubble=False)
-    found = compare_beds(linear, run_data("hertz", 14, length=3.0, bubble=False), {})
-    assert isinstance(found.linear, BedRunData)
-    assert found.row("z_mean").difference is not None
+    found = compare(linear, run_data("hertz", 14, length=3.0, bubble=False), {})
+    assert isinstance(found.run, BedRunData)
+    assert found.row("z_mean").difference.value is not None
 
 
 def test_the_verdict_names_the_largest_difference_that_nobody_judged():
     """Overlaps 30 % larger: seen, and judged by nobody; of two differences seen the larger one is named."""
     linear = run_data("linear", 31, length=40.0, bubble=False, means={"overlap_mean": 1.3 * MEANS["overlap_mean"]})
     hertz = run_data("hertz", 32, length=40.0, bubble=False)
-    found = compare_beds(linear, hertz, {"z_mean": 0.05})
+    found = compare(linear, hertz, {"z_mean": 0.05})
     assert found.state == "within"
-    seen = {r.metric: abs(r.difference) for r in found.rows if r.tolerance is None and r.significant}
+    seen = {r.metric: abs(r.difference.value) for r in found.rows if r.tolerance is None and r.difference.significant}
     assert seen["overlap_mean"] > 0.2
-    assert re.search(rf"Not judged[^:]*: {max(seen, key=seen.__getitem__)}\b", found.sentences[0])
-    judged = compare_beds(linear, hertz, dict.fromkeys(seen, 100.0))
-    named = [r for r in judged.rows if re.search(rf"Not judged[^:]*: {r.metric}\b", judged.sentences[0])]
-    assert not any(r.significant is False for r in named)
-    assert "overlap_mean" not in compare_beds(linear, hertz, {}).sentences[0]
+    assert any(f"no tolerance judges: {max(seen, key=seen.__getitem__)}," in text for text in found.verdict.points)
+    judged = compare(linear, hertz, dict.fromkeys(seen, 100.0))
+    named = [r for r in judged.rows if any(f"judges: {r.metric}," in text for text in judged.verdict.points)]
+    assert not any(r.difference.significant is False for r in named)
+    assert not any("no tolerance judges" in text for text in compare(linear, hertz, {}).verdict.all)

@@ -256,7 +256,6 @@ def test_all_of_a_bubbling_bed(bed):
     near = {
         "z_mean": 0.03,
         "z_95": 0.057,
-        "z_twice": 0.06,
         "bed_height": 0.06,
         "height_pressure": 0.06,
         "kinetic_energy": 1e-4,

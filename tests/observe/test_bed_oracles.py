@@ -17,9 +17,12 @@ from hypothesis import strategies as st
 from kncal.core.errors import InputError
 from kncal.core.files import write_json
 from kncal.observe.averages import observe_bed
-from kncal.observe.bed_compare import BedComparison, compare_beds
+from kncal.observe.compare import Comparison, compare
+from kncal.observe.estimate import Estimate, apart
 from kncal.observe.fluidization_curve import PACKED, fluidization_curve
 from kncal.observe.packed_bed import ergun_plateaus
+from kncal.observe.row import Row, judge
+from kncal.observe.run_data import BedRunData
 from kncal.observe.settling import final_velocity
 from kncal.physics.fluidization import (
     ergun_gradient,
@@ -29,8 +32,8 @@ from kncal.physics.fluidization import (
 )
 from kncal.record.facts import BedFacts
 from kncal.record.series import BedSeries
-from kncal.scene.bed_metrics import BED_METRICS, KINDS_OF_BEDS, NOT_AVERAGED, why_not
 from kncal.scene.bed_scene import Gas
+from kncal.scene.metrics import COUPLED, KINDS_OF_BEDS, METRICS, offered, why_not
 
 GAS = Gas(density=1.2, viscosity=1.8e-5)
 
@@ -39,10 +42,10 @@ GAS = Gas(density=1.2, viscosity=1.8e-5)
 
 
 def test_every_metric_belongs_to_a_kind_of_bed_and_says_what_it_is() -> None:
-    for name, (unit, text) in BED_METRICS.items():
+    for name in offered(COUPLED):
+        unit, text = METRICS[name].unit, METRICS[name].text
         assert unit and text
         assert any(not why_not(name, kind, changes=False) for kind in KINDS_OF_BEDS), name
-    assert set(NOT_AVERAGED) <= set(BED_METRICS)
 
 
 @pytest.mark.parametrize(
@@ -234,9 +237,9 @@ def test_averages_of_a_ramp_are_not_judged(tmp_path: Any) -> None:
     data = run_data("hertz", 3, bubble=False)
     U_0 = np.linspace(0.2, 0.8, len(data.series.t))
     ramp = replace(data, series=replace(data.series, U_0=U_0))
-    found = compare_beds(ramp, ramp, {"z_mean": 0.05})
+    found = compare(ramp, ramp, {"z_mean": 0.05})
     row = found.row("z_mean")
-    assert (row.verdict, row.linear) == ("missing", None)
+    assert (row.verdict, row.run.value) == ("missing", None)
     assert "different states" in row.reason
     assert found.state == "outside"
     names = {r.metric for r in found.rows}
@@ -247,14 +250,14 @@ def test_averages_of_a_ramp_are_not_judged(tmp_path: Any) -> None:
     assert json.loads((tmp_path / "c.json").read_text())["theory"]["hertz"]["curve"] is None
 
 
-def both(run: BedSeries, tolerances: dict[str, float], gas: Gas = GAS) -> BedComparison:
+def both(run: BedSeries, tolerances: dict[str, float], gas: Gas = GAS) -> Comparison[BedRunData]:
     """A linear and a Hertz run that do the very same."""
     made = []
     for kind in ("linear", "hertz"):
         data = run_data(kind, 3, bubble=False)
         scene = replace(data.model.scene, gas=gas, run=replace(data.model.scene.run, discard=None))
         made.append(replace(data, model=replace(data.model, scene=scene), series=run))
-    return compare_beds(*made, tolerances)
+    return compare(*made, tolerances)
 
 
 def rises(factor: float) -> BedSeries:
@@ -284,15 +287,17 @@ def test_models_that_agree_on_a_wrong_answer_are_not_within_tolerance(
     """A frozen bed's gradient, a terminal velocity and U_mf have an answer; equal errors of both models cancel."""
     good = both(right, {metric: 0.01})
     assert (good.state, good.within) == ("within", True)
-    assert {(k.metric, k.kind, k.verdict) for k in good.known} == {(metric, kind, "ok") for kind in ("linear", "hertz")}
+    assert {(k.metric, k.model, k.verdict) for k in good.known} == {
+        (metric, kind, "ok") for kind in ("linear", "hertz")
+    }
     if metric == "slip":  # the same fall in the gas of a lighter particle
         wrong = replace(wrong, facts=right.facts, momentum_z=wrong.momentum_z * right.facts.mass / wrong.facts.mass)
     bad = both(wrong, {metric: 0.01})
     assert bad.row(metric).verdict == "ok"
     assert (bad.state, bad.within) == ("outside", False)
     assert {k.verdict for k in bad.known} == {"outside"}
-    assert not any("ithin tolerance" in text for text in bad.sentences)
-    assert metric in bad.sentences[0]
+    assert not any("ithin tolerance" in text for text in bad.verdict.all)
+    assert metric in bad.verdict.sentence
     assert both(wrong, {}).state == "outside"
     assert both(right, {}).state == "open"
     write_json(tmp_path / "c.json", bad.to_dict())
@@ -305,12 +310,15 @@ def test_another_drag_law_has_no_known_answer() -> None:
 
 
 def test_own_values_that_are_too_uncertain_are_undecided_without_an_end_time() -> None:
-    from kncal.observe.bed_rows import Side, judge, one_value
+    def judged(value: float, tolerance: float) -> Row:
+        side = {x: Estimate(value=x, width=0.03, chance=True) for x in (value, 1.0)}
+        found = apart(side[value], side[1.0], 1.0, ("linear", "hertz"))
+        made = Row(
+            metric="U_mf", unit="m/s", text="", run=side[value], reference=side[1.0], difference=found, scale=1.0
+        )
+        return judge(made, tolerance)
 
-    def side(value: float) -> Side:
-        return Side(average=one_value(value, 0.03, 0.0, 1.0), missing="", begin=0.0, end=1.0)
-
-    row = judge("U_mf", side(1.0), side(1.0), 0.02)
-    assert (row.verdict, row.needed_end_time) == ("undecided", None)
-    assert judge("U_mf", side(1.0), side(1.0), 0.05).verdict == "ok"
-    assert judge("U_mf", side(1.2), side(1.0), 0.05).verdict == "outside"
+    undecided = judged(1.0, 0.02)
+    assert (undecided.verdict, undecided.difference.needed_end) == ("undecided", None)
+    assert judged(1.0, 0.05).verdict == "ok"
+    assert judged(1.2, 0.05).verdict == "outside"

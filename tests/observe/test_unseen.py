@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from kncal.cli import main
-from kncal.core.units import percent
 from kncal.scene.case_file import load_case
 from kncal.scene.contact_limits import FEWEST_FRAMES
 from kncal.scene.limits import check
@@ -84,7 +83,6 @@ def test_the_verdict_names_the_largest_difference_that_nobody_judged(
     open_rows = {r["metric"]: r["difference"] for r in data["rows"] if r["tolerance"] is None and r["difference"]}
     assert open_rows["t_c"] > 4.0
     worst = max(open_rows, key=lambda name: abs(open_rows[name]))
-    assert worst in data["verdict"][0]
-    assert percent(open_rows[worst]) in data["verdict"][0]
+    (said,) = (text for text in data["points"] if worst in text)
     page = (tmp_path / "run" / "report" / "index.html").read_text()
-    assert data["verdict"][0].split("Not judged")[1][:20] in page
+    assert said[:40] in page

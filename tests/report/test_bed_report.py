@@ -13,21 +13,21 @@ import pandas as pd
 import pytest
 from compared_beds import MEANS, SCENE, run_data
 
-from kncal.observe.bed_compare import BedComparison, compare_beds
-from kncal.observe.bed_verdict import plus_minus
+from kncal.core.units import plus_minus
+from kncal.observe.compare import Comparison, compare
 from kncal.report.bed_page import with_uncertainty, write_bed_report
 
 HOSTILE = '<img src=x onerror="alert(1)"></script><script>alert(2)</script>'
 CASE = replace(SCENE, tolerances={"overlap_mean": 0.05, "z_mean": 0.001, "pressure_drop": 0.5})
 
 
-def compared(scene=CASE, **options) -> BedComparison:
+def compared(scene=CASE, **options) -> Comparison:
     softer = {"overlap_mean": 2.0 * MEANS["overlap_mean"]}
     linear = run_data("linear", 1, scene=scene, length=0.8, means=softer, tau=0.01, **options)
-    return compare_beds(linear, run_data("hertz", 2, scene=scene, length=0.8, tau=0.01, **options))
+    return compare(linear, run_data("hertz", 2, scene=scene, length=0.8, tau=0.01, **options))
 
 
-def write(comparison: BedComparison, folder: Path, text: str = "kncal run") -> Path:
+def write(comparison: Comparison, folder: Path, text: str = "kncal run") -> Path:
     return write_bed_report(
         comparison,
         folder,
@@ -63,7 +63,7 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def comparison() -> BedComparison:
+def comparison() -> Comparison:
     return compared()
 
 
@@ -81,17 +81,17 @@ def hostile(tmp_path_factory) -> Path:
 def test_the_page_carries_the_verdict_first(comparison, report):
     text = Page(report).text
     assert comparison.state == "outside"
-    places = [text.index(" ".join(sentence.split())) for sentence in comparison.sentences]
+    places = [text.index(" ".join(sentence.split())) for sentence in comparison.verdict.all]
     assert places == sorted(places)
     assert places[-1] < text.index("Linear against Hertz")
-    assert "overlap_mean" in comparison.sentences[0]
+    assert "overlap_mean" in comparison.verdict.all[0]
 
 
 def test_every_row_is_on_the_page_with_its_verdict(comparison, report):
     html = report.read_text(encoding="utf-8")
     for row in comparison.rows:
         assert row.metric in html
-        if row.reason and row.linear is row.hertz is row.difference is None:
+        if row.reason and not row.seen:
             continue  # listed by the reason, below the table
         line = re.search(rf"<tr class=\"numbers\"><td><strong>{row.metric}</strong>.*?</tr>", html)
         assert line, row.metric
@@ -149,22 +149,21 @@ def test_what_the_page_says_about_the_physics(comparison, report):
         "cell-size: kncal run",
     ):
         assert words in text, words
-    split = [f"{c.dem.cpu_seconds:.3g} s ({c.dem.cpu_seconds / c.total:.0%})" for c in comparison.costs]
+    split = [f"{c.cpu_seconds:.3g} s ({c.cpu_seconds / c.total:.0%})" for c in comparison.costs]
     assert all(part in text for part in split)
 
 
 def test_the_files_beside_hold_the_same_numbers(comparison, report):
     data = json.loads((report.parent / "comparison.json").read_text(encoding="utf-8"))
-    assert data["verdict"] == list(comparison.sentences)
+    assert [data["verdict"], *data["points"], *data["details"]] == list(comparison.verdict.all)
     assert data["provenance"]["linear"]["command"] == ["kncal", "kncal run"]
-    table = pd.read_csv(report.parent / "quantities.csv", comment="#").set_index("metric")
+    table = pd.read_csv(report.parent / "metrics.csv", comment="#").set_index("metric")
     for row in comparison.rows:
-        if row.difference is not None:
-            assert table.loc[row.metric, "difference"] == row.difference
-    for kind in ("linear", "hertz"):
-        series = getattr(comparison, kind).series
-        written = pd.read_csv(report.parent / f"{kind}.csv", comment="#")
-        assert (written["p_in"] == series.p_in).all()
+        if row.difference.value is not None:
+            assert table.loc[row.metric, "difference"] == row.difference.value
+    for run in comparison.runs:
+        written = pd.read_csv(report.parent / f"{run.model.kind}.csv", comment="#")
+        assert (written["p_in"] == run.series.p_in).all()
 
 
 def test_a_bed_without_bubbles_is_reported_without_their_figure(tmp_path):
@@ -214,8 +213,8 @@ def with_impacts(data, particles: float, walls: float):
 
 def test_impact_speeds_stand_beside_the_one_calibrated_at(comparison, tmp_path):
     """v_0 is 0.5 m/s: far above the particles' energy-weighted 0.15 m/s, just that of the walls."""
-    runs = [with_impacts(data, 0.05, 0.5 / 3.0) for data in (comparison.linear, comparison.hertz)]
-    path = write(compare_beds(*runs), tmp_path)
+    runs = [with_impacts(data, 0.05, 0.5 / 3.0) for data in comparison.runs]
+    path = write(compare(*runs), tmp_path)
     page = Page(path)
     for run in ("linear", "Hertz"):
         assert f"{run}, two particles: v_0 = 500 mm/s" in page.text

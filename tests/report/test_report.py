@@ -14,8 +14,9 @@ from comparisons import run_data
 from models import model, on_wall
 
 from kncal.engines.builtin.integrator import integrate
-from kncal.observe.compare import Comparison, RunData, compare
+from kncal.observe.compare import Comparison, compare
 from kncal.observe.contacts import observe
+from kncal.observe.run_data import RunData
 from kncal.physics.calibration import calibrate
 from kncal.report.overview import error_table, kn_curves, method_table
 from kncal.report.page import write_report
@@ -52,14 +53,14 @@ def compared(scene: Scene, exact: bool = True) -> Comparison:
 
 
 def write(comparison: Comparison, folder: Path, text: str = "liggghts -in in.liggghts") -> Path:
-    scene = comparison.hertz.model.scene
+    scene = comparison.reference.model.scene
     pair = pair_of(*scene.body_pairs()[0])
     return write_report(
         comparison,
         folder,
         calibration_table=method_table(pair, v_0=1.0, e_n=0.9),
         kn_curves=kn_curves(pair, v_0=1.0, e_n=0.9),
-        error_table=error_table({"linear": comparison.linear.model, "hertz": comparison.hertz.model}),
+        error_table=error_table({"linear": comparison.run.model, "hertz": comparison.reference.model}),
         needs_table=decide(scene).to_frame(),
         provenance={"linear": {"command": ["stdbuf", text], "files_sha256": {text: "ab" * 32}}, text: {"dt": 1e-6}},
     )
@@ -114,7 +115,7 @@ def test_the_page_carries_the_verdict_first(comparison, report):
     page = Page(report)
     text = " ".join(page.text.split())
     assert comparison.within
-    places = [text.index(" ".join(sentence.split())) for sentence in comparison.sentences]
+    places = [text.index(" ".join(sentence.split())) for sentence in comparison.verdict.all]
     assert places == sorted(places)
     assert places[-1] < text.index("Linear against Hertz")
     assert "A bead hits a floor" in text
@@ -194,7 +195,7 @@ def test_the_numbers_beside_the_page_are_those_of_the_comparison(comparison, rep
     assert data == json.loads(json.dumps(comparison.to_dict()))
     metrics = pd.read_csv(report.parent / "metrics.csv", comment="#").set_index("metric")
     for row in comparison.rows:
-        assert metrics.loc[row.metric, "difference"] == row.difference
+        assert metrics.loc[row.metric, "difference"] == row.difference.value
     accuracy = pd.read_csv(report.parent / "speed_accuracy.csv", comment="#")
     # the CPU time stands where a run was made, and nowhere else
     assert (accuracy["cpu_seconds"].notna() == accuracy["run"]).all()

@@ -15,10 +15,10 @@ from kncal.core.errors import CaseFileError, InputError
 from kncal.core.shipped import folder
 from kncal.scene.bed_case_checks import _too_close
 from kncal.scene.bed_case_file import dump_bed, load_bed, parse_bed
-from kncal.scene.bed_metrics import BED_METRICS
 from kncal.scene.bed_scene import DEPTHS, PACKINGS, PARCELS, BedScene, Gas, Jet
 from kncal.scene.bed_schema import BedParticlesTable, ColumnTable, GasTable
 from kncal.scene.case_file import load_case, load_scene, shipped_cases
+from kncal.scene.metrics import COUPLED, offered
 from kncal.scene.needs import decide
 from kncal.scene.scene import Scene
 
@@ -302,7 +302,7 @@ def test_shipped_beds_say_what_they_are(name):
     for metrics in expected["metrics"].values():
         assert metrics
         for metric, entry in metrics.items():
-            assert metric in BED_METRICS
+            assert metric in offered(COUPLED)
             assert set(entry) == {"value", "rel_tol", "source"}
             assert 0.0 < entry["rel_tol"] <= 0.1
 

@@ -15,7 +15,7 @@ import pytest
 from kncal.core.shipped import folder
 from kncal.engines.coupled import Coupled
 from kncal.engines.dpmfoam.adapter_build import find
-from kncal.observe.bed_compare import compare_beds
+from kncal.observe.compare import compare
 from kncal.physics.fluidization import relaxation_time
 from kncal.runs.workflow import load_bed_run, run_case
 from kncal.scene.bed_case_file import load_bed
@@ -62,7 +62,7 @@ def test_terminal_velocity(name: str, end_time: float, coupling: float, tmp_path
     results = run_case(scene, Coupled(), tmp_path / "run", ("linear",))
     assert results["linear"].status == "completed", results
     data = load_bed_run(tmp_path / "run" / "linear")
-    found = compare_beds(data, data, {})  # one run is enough: there is no contact
+    found = compare(data, data, {})  # one run is enough: there is no contact
     final = found.observations[0].final
     assert final is not None and final.settling is not None
     end = data.model.couplings * data.model.coupling
@@ -74,7 +74,7 @@ def test_terminal_velocity(name: str, end_time: float, coupling: float, tmp_path
     assert 1e-3 * final.slip < bias < 0.05 * final.slip  # seen, and small
     assert {r.metric for r in found.rows} == {"velocity", "slip"}
     assert all(i.holds for i in found.invariants)
-    assert "the equation of motion gives" in " ".join(found.sentences)
+    assert "the equation of motion gives" in " ".join(found.verdict.all)
 
 
 def test_a_large_column_costs_no_more(tmp_path: Path) -> None:
@@ -94,7 +94,7 @@ def test_a_large_column_costs_no_more(tmp_path: Path) -> None:
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 15.0
     data = load_bed_run(out / "linear")
-    final = compare_beds(data, data, {}).observations[0].final
+    final = compare(data, data, {}).observations[0].final
     assert final is not None
     assert final.slip == pytest.approx(0.4574, rel=0.01)
 
@@ -112,7 +112,7 @@ def test_packed_bed(tmp_path: Path) -> None:
     out = tmp_path / "run"
     results = run_case(scene, Coupled(), out)
     assert [r.status for r in results.values()] == ["completed", "completed"], results
-    found = compare_beds(load_bed_run(out / "linear"), load_bed_run(out / "hertz"))
+    found = compare(load_bed_run(out / "linear"), load_bed_run(out / "hertz"))
     reference = expected("packed_bed", "ergun_ratio")
     plateaus = found.observations[0].plateaus
     assert [p.U_0 for p in plateaus] == [0.1, 0.3, 0.6]
@@ -121,4 +121,4 @@ def test_packed_bed(tmp_path: Path) -> None:
         assert p.uncertainty < 0.002  # steady
     assert {r.metric for r in found.rows} == {"ergun_ratio"}
     assert found.state == "within"
-    assert "particles did not move" in found.sentences[1]
+    assert "particles did not move" in found.verdict.all[1]

@@ -11,7 +11,8 @@ import pytest
 from compared_beds import run_data
 
 from kncal.engines.settle import to_settle
-from kncal.observe.bed_compare import compare_beds, observed
+from kncal.observe.compare import compare
+from kncal.observe.run_data import observed
 from kncal.record.steps import REACTION_LIMIT
 from kncal.runs.workflow import load_bed_run
 from kncal.scene.bed_scene import BedScene
@@ -97,12 +98,12 @@ def test_errors_are_those_of_a_comparison_of_two_beds():
     """Against a comparison of the same two runs: same numbers, same verdicts; any run may be the reference."""
     linear, hertz = run_data("linear", 5, means={"z_mean": 0.0105}), run_data("hertz", 6)
     tolerances = {Z: 0.2, "eps_g": 0.1, "pressure_drop": 0.02, "overlap_mean": 0.001}
-    rows = {row.metric: row for row in compare_beds(linear, hertz, tolerances).rows}
+    rows = {row.metric: row for row in compare(linear, hertz, tolerances).rows}
     found = bed_errors(observed(linear), observed(hertz), tolerances)
     assert set(found) == set(rows)
     for name, limit in tolerances.items():
         assert found[name].verdict(limit) == rows[name].verdict
-    assert found[Z].error == rows[Z].difference
+    assert found[Z].error == rows[Z].difference.value
     two = bed_errors(observed(run_data("hertz", 7)), observed(hertz), {})
     assert "relative to reference" in two[Z].basis
     assert abs(two[Z].error) <= 2.0 * two[Z].uncertainty
@@ -110,10 +111,10 @@ def test_errors_are_those_of_a_comparison_of_two_beds():
 
 @pytest.mark.parametrize(("rms", "noise"), [(0.05, 0.001), (0.02, 0.02), (0.11, 0.02)])
 def test_the_interval_of_a_field_decides_as_its_row_does(rms, noise, monkeypatch):
-    monkeypatch.setattr("kncal.observe.bed_compare.voidage_difference", lambda *_: (rms, noise))
+    monkeypatch.setattr("kncal.observe.difference.voidage_difference", lambda *_: (rms, noise))
     linear, hertz = run_data("linear", 5), run_data("hertz", 6)
     for limit in (0.01, 0.045, 0.06, 0.1, 0.2):
-        row = compare_beds(linear, hertz, {"eps_g": limit}).row("eps_g")
+        row = compare(linear, hertz, {"eps_g": limit}).row("eps_g")
         assert bed_errors(observed(linear), observed(hertz), {"eps_g": limit})["eps_g"].verdict(limit) == row.verdict
 
 
@@ -278,8 +279,8 @@ def test_a_small_bed_is_traded_to_its_end(tmp_path):
     assert gone.message
     # the same numbers as a comparison of the same two run folders
     linear, hertz = (load_bed_run(folder) for folder in folders_of(tmp_path / "trade", hard, reference))
-    row = compare_beds(linear, hertz).row("z_mean")
-    assert hard.errors["z_mean"].error == row.difference
+    row = compare(linear, hertz).row("z_mean")
+    assert hard.errors["z_mean"].error == row.difference.value
     assert hard.cpu_seconds == pytest.approx((linear.result.cpu_seconds,))
     assert linear.series.reaction_error.max() <= REACTION_LIMIT
     names = {sign.name for sign in soft.signs}

@@ -10,7 +10,7 @@ from compared_beds import MEANS, run_data
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kncal.observe.bed_compare import observed
+from kncal.observe.run_data import observed
 from kncal.study.trim.base import OFF, ON, OTHER, CostChange, Effect, Part, worst_of
 from kncal.study.trim.effect import bed_effects
 from kncal.study.trim.judgement import cost_text, describe, judge_part
@@ -154,10 +154,12 @@ def test_what_cannot_be_compared_is_said() -> None:
     tolerance=st.floats(1e-6, 1.0),
 )
 def test_within_means_the_whole_interval_and_changed_none_of_it(change: float, width: float, tolerance: float) -> None:
-    from kncal.observe.difference import Difference
+    from kncal.observe.estimate import Estimate
+    from kncal.observe.row import Row
     from kncal.study.trim.effect import _contact_effect
 
-    row = Difference(metric="e_n", value=1.0, reference=1.0, difference=change, scale=1.0, basis="")
+    one, moved = Estimate(value=1.0), Estimate(value=change)
+    row = Row(metric="e_n", unit="–", text="", run=one, reference=one, difference=moved, scale=1.0)
     found = _contact_effect(row, width, {"e_n": tolerance})
     low, high = abs(change) - width, abs(change) + width
     slack = 1e-11  # rounding counts as uncertainty

@@ -305,4 +305,4 @@ def test_a_reference_converges_only_when_it_stands_still(found):
     # paths are compared up to the end that was asked for, and a run is no distance from itself
     reference = Reference(run=runs[200.0], until=1e-5, contacts=1)
     assert reference.step("trajectory", 1.0, runs[200.0], runs[200.0]) == 0.0
-    assert np.isfinite(reference.differences(runs[100.0])["trajectory"].difference)
+    assert np.isfinite(reference.differences(runs[100.0])["trajectory"].difference.value)

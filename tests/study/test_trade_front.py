@@ -11,11 +11,12 @@ from hypothesis import strategies as st
 from trades import point, trade
 
 from kncal.core.errors import InputError
+from kncal.observe.softness import Sign
 from kncal.observe.tolerances import parse_tolerances
+from kncal.scene.metrics import COUPLED, FEW_PARTICLES
 from kncal.study.trade.answer import sentences, to_dict
 from kncal.study.trade.front import conclude, inside, pareto, verdict, worst_ratio
 from kncal.study.trade.report import shown_points
-from kncal.study.trade.trade import Sign
 
 # few values, so that ties happen
 NUMBERS = st.sampled_from([1.0, 2.0, 3.0, 5.0, 8.0]) | st.floats(1e-3, 1e3)
@@ -206,10 +207,10 @@ def test_of_a_bed_all_that_ran_stands_in_the_table():
 
 
 def test_tolerances_by_name_and_by_word():
-    assert parse_tolerances(["restitution=1%", "overlap = 0.05", "t_c_2=3%"], bed=False) == pytest.approx(
+    assert parse_tolerances(["restitution=1%", "overlap = 0.05", "t_c_2=3%"], FEW_PARTICLES) == pytest.approx(
         {"e_n": 0.01, "delta_max": 0.05, "delta_mean": 0.05, "t_c_2": 0.03}
     )
-    assert parse_tolerances(["pressure=5%"], bed=True) == {"pressure_drop": 0.05}
+    assert parse_tolerances(["pressure=5%"], COUPLED) == {"pressure_drop": 0.05}
 
 
 @pytest.mark.parametrize(
@@ -227,9 +228,9 @@ def test_tolerances_by_name_and_by_word():
 )
 def test_a_bad_tolerance_is_refused_with_what_is_expected(text, bed, hint):
     with pytest.raises(InputError, match=hint):
-        parse_tolerances([text], bed=bed)
+        parse_tolerances([text], COUPLED if bed else FEW_PARTICLES)
 
 
 def test_a_tolerance_given_twice_is_refused():
     with pytest.raises(InputError, match="e_n has one already"):
-        parse_tolerances(["restitution=1%", "e_n=2%"], bed=False)
+        parse_tolerances(["restitution=1%", "e_n=2%"], FEW_PARTICLES)

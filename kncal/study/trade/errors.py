@@ -8,17 +8,15 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import TypeVar
 
-import numpy as np
-
-from kncal.observe.bed_compare import ObservedRun, rows_between
-from kncal.observe.bed_rows import DOUBT, RMS, BedRow
-from kncal.observe.compare import RunData
-from kncal.observe.difference import PATHS, Difference, Side, difference, metric_names, path_difference
+from kncal.observe.difference import PATHS, metric_names, path_difference, rows_between, value_row
+from kncal.observe.estimate import DOUBT, apart
+from kncal.observe.row import RMS, Row
+from kncal.observe.run_data import BedRunData, RunData
 from kncal.observe.truth import exact_metrics, exact_motion, predicted_errors
-from kncal.physics.statistics import difference as difference_of_averages
 from kncal.scene.metrics import metric_unit, split_metric
 from kncal.study.trade.trade import Candidate, Convergence, ErrorSplit, MetricError, Part
 
+NAMES = ("candidate", "reference")
 #: From one N to the next, orders of convergence between these are believed: velocity Verlet is of second order, at a
 #: force that jumps at touch (a damped contact) of first.
 ORDERS = (1.0, 2.0)
@@ -47,24 +45,26 @@ class Reference:
 
     def names(self, more: tuple[str, ...] = ()) -> tuple[str, ...]:
         """Return the metrics that the reference has (and ``more``), those of `PATHS` last."""
-        names = [n for n in metric_names(self.run, self.run, more) if n in more or self._counts(n)]
+        names = [n for n in metric_names(self.run, self.run, more) if n not in PATHS and (n in more or self._counts(n))]
         return (*names, *PATHS)
 
     def _counts(self, name: str) -> bool:
         return self.contacts is None or split_metric(name)[1] <= self.contacts
 
-    def differences(self, run: RunData, more: tuple[str, ...] = ()) -> dict[str, Difference]:
+    def differences(self, run: RunData, more: tuple[str, ...] = ()) -> dict[str, Row]:
         """Return the differences of ``run`` from the reference, metric by metric."""
-        sides = Side("candidate", run), Side("reference", self.run)
         paths = {row.metric: row for row in path_difference(run.trajectory, self.run.trajectory, self.until).rows}
-        return {name: paths[name] if name in PATHS else difference(name, *sides) for name in self.names(more)}
+        return {
+            name: paths[name] if name in PATHS else value_row(name, run, self.run, NAMES) for name in self.names(more)
+        }
 
     def step(self, name: str, scale: float, a: RunData, b: RunData) -> float | None:
         """Return how far ``a`` is from ``b`` in one metric, by ``scale`` (of the reference) [-]; None: not known."""
         if name in PATHS:
             rows = path_difference(a.trajectory, b.trajectory, self.until).rows
             (row,) = (row for row in rows if row.metric == name)
-            return None if row.difference is None or row.scale is None else row.difference * row.scale / scale
+            moved = row.difference.value
+            return None if moved is None or row.scale is None else moved * row.scale / scale
         value, other = (data.observations.metrics.get(name) for data in (a, b))
         return None if value is None or other is None else (value - other) / scale
 
@@ -94,18 +94,19 @@ def metric_errors(
     for name, row in reference.differences(run, more).items():
         width = None
         reason = row.reason
-        if row.difference is not None and row.scale is not None:
+        error = row.difference.value
+        if error is not None and row.scale is not None:
             width = reference.left.get(name, 0.0)
             phase = _phase(name, row, run, worst, reference.until)
             if phase is not None:
-                base = there[name].difference if name in there else None
-                width += max(0.0, (0.0 if base is None else abs(base)) + phase - abs(row.difference))
+                base = there[name].difference.value if name in there else None
+                width += max(0.0, (0.0 if base is None else abs(base)) + phase - abs(error))
         found[name] = MetricError(
             metric=name,
             unit=metric_unit(name),
-            value=row.value,
-            reference=row.reference,
-            error=row.difference,
+            value=row.run.value,
+            reference=row.reference.value,
+            error=error,
             uncertainty=width,
             basis=row.basis,
             reason=reason,
@@ -113,7 +114,7 @@ def metric_errors(
     return found
 
 
-def _phase(name: str, row: Difference, run: RunData, worst: Mapping[str, float], until: float | None) -> float | None:
+def _phase(name: str, row: Row, run: RunData, worst: Mapping[str, float], until: float | None) -> float | None:
     """Return what another sub-step phase of the contacts could add to a difference, by its scale; None: not known.
 
     Paths: a leaving speed v that is wrong by a share e makes the way (and all later flights) wrong by e in time, so
@@ -122,7 +123,7 @@ def _phase(name: str, row: Difference, run: RunData, worst: Mapping[str, float],
     if row.scale is None:
         return None
     if name not in PATHS:
-        return None if name not in worst or row.value is None else worst[name] * abs(row.value) / row.scale
+        return None if name not in worst or row.run.value is None else worst[name] * abs(row.run.value) / row.scale
     if "e_n" not in worst:
         return None
     end = run.model.t_end if until is None else until
@@ -154,7 +155,8 @@ def split_errors(
     if run.model.kind != "hertz":
         steps["model"] = (unsoftened, reference.run)
     for name, total in reference.differences(run, more).items():
-        if total.difference is None or total.scale is None:
+        whole = total.difference.value
+        if whole is None or total.scale is None:
             continue
         scale, left = total.scale, reference.left.get(name, 0.0)
 
@@ -170,7 +172,7 @@ def split_errors(
             width = sum(bound(data) for data in (a, b) if data is not run)
             return None if value is None else Part(value=value, uncertainty=0.0 if a is b else width)
 
-        splits.append(split(name, Part(value=total.difference, uncertainty=left), steps, between))
+        splits.append(split(name, Part(value=whole, uncertainty=left), steps, between))
     return tuple(splits)
 
 
@@ -236,8 +238,8 @@ def converge(
             continue
         order = math.log2(known[-2] / known[-1]) if len(known) > 1 and 0.0 < known[-1] < known[-2] else ORDERS[0]
         left[name] = known[-1] / (2.0 ** min(max(order, ORDERS[0]), ORDERS[1]) - 1.0)
-        if name in exact and row.value is not None:
-            left[name] = max(left[name], abs(row.value - exact[name]) / row.scale)
+        if name in exact and row.run.value is not None:
+            left[name] = max(left[name], abs(row.run.value - exact[name]) / row.scale)
     asked = [name for name in (tolerances or names) if name in names]
     small = [name in left and max(left[name], abs(moves[name][-1] or 0.0)) <= threshold for name in asked]
     return Convergence(
@@ -253,41 +255,34 @@ def converge(
 # --- beds ---------------------------------------------------------------------
 
 
-def bed_errors(run: ObservedRun, reference: ObservedRun, tolerances: Mapping[str, float]) -> dict[str, MetricError]:
+def bed_errors(run: BedRunData, reference: BedRunData, tolerances: Mapping[str, float]) -> dict[str, MetricError]:
     """Return the error of every metric of a bed that one of the two runs has, or that has a tolerance.
 
     The uncertainty is the half-width of the 95 % interval of both averages, three times that where one of them is
-    not reliable (`kncal.observe.bed_rows.DOUBT`).
+    not reliable (`kncal.observe.estimate.DOUBT`).
     """
-    return {row.metric: _bed_error(row) for row in rows_between(run, reference, tolerances, ("candidate", "reference"))}
+    return {row.metric: _bed_error(row) for row in rows_between(run, reference, tolerances, NAMES)}
 
 
-def _bed_error(row: BedRow) -> MetricError:
-    error, width, reason = row.difference, row.uncertainty, row.reason
-    if error is not None and row.basis == RMS:
-        # what is left of the rms difference after the noise is between these two: see
-        # `kncal.observe.bed_rows.judge_field`
-        noise = width or 0.0
-        low = float(np.sqrt(max(error**2 - 4.0 * noise**2, 0.0)))
-        error, width = 0.5 * (error + low), 0.5 * (error - low)
-    elif error is not None and width is not None and reason:
-        width *= DOUBT
+def _bed_error(row: Row) -> MetricError:
+    found, reason = row.difference, row.reason
+    if not found.reliable:
         reason = f"interval taken {DOUBT:g} times as wide: {reason}"
     return MetricError(
         metric=row.metric,
         unit=row.unit,
-        value=row.linear,
-        reference=row.hertz,
-        error=error,
-        uncertainty=width,
+        value=row.run.value,
+        reference=row.reference.value,
+        error=found.value,
+        uncertainty=None if found.value is None else found.deciding,
         basis=row.basis,
         reason=reason,
-        needed_end_time=row.needed_end_time,
+        needed_end_time=found.needed_end,
     )
 
 
 def bed_splits(
-    runs: Iterable[tuple[Candidate, ObservedRun, Mapping[str, MetricError]]], reference: ObservedRun, steps: float
+    runs: Iterable[tuple[Candidate, BedRunData, Mapping[str, MetricError]]], reference: BedRunData, steps: float
 ) -> dict[str, tuple[ErrorSplit, ...]]:
     """Split the errors of each candidate of a bed, metric by metric; see `split`. ``steps``: N of the reference.
 
@@ -304,7 +299,7 @@ def bed_splits(
         hard = reference if c.model == "hertz" else unsoftened
         real = c.model == "hertz" and c.factor == 1.0
         fine = reference if real else at.get((c.model, c.how, c.factor, steps))
-        chain: dict[str, Step[ObservedRun]] = {}
+        chain: dict[str, Step[BedRunData]] = {}
         if c.steps_per_contact != steps:
             chain["discretisation"] = (run, fine)
         if c.factor != 1.0:
@@ -319,15 +314,14 @@ def bed_splits(
     return found
 
 
-def _between_averages(error: MetricError) -> Callable[[ObservedRun, ObservedRun], Part | None]:
+def _between_averages(error: MetricError) -> Callable[[BedRunData, BedRunData], Part | None]:
     scale = abs(error.reference or 0.0) if error.basis.startswith("relative") else 1.0
 
-    def between(a: ObservedRun, b: ObservedRun) -> Part | None:
-        first, second = a.found.side(error.metric).average, b.found.side(error.metric).average
-        if first is None or second is None or scale == 0.0:
+    def between(a: BedRunData, b: BedRunData) -> Part | None:
+        first, second = a.estimate(error.metric), b.estimate(error.metric)
+        if first.value is None or second.value is None or scale == 0.0:
             return None
-        apart = difference_of_averages(first, second)
-        width = apart.uncertainty * (1.0 if apart.reliable else DOUBT)
-        return Part(value=apart.value / scale, uncertainty=width / scale)
+        found = apart(first, second, scale, NAMES)
+        return Part(value=found.value or 0.0, uncertainty=found.deciding)
 
     return between

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kncal.study.trade.trade import Sign, Trade, TradePoint
+from kncal.observe.softness import Sign
+from kncal.study.trade.trade import Trade, TradePoint
 
 #: Steps per contact of usual practice, to which the saving is stated, too.
 USUAL_STEPS = 50.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from kncal.observe.compare import RunData
+from kncal.observe.run_data import RunData
 from kncal.study.trade.errors import Reference, metric_errors, split_errors, worst_errors
 from kncal.study.trade.trade import Candidate, ErrorSplit, MetricError
 

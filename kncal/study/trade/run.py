@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from kncal.core.errors import CaseFileError, InterruptedRunError, KncalError, RenderError
-from kncal.observe.compare import RunData
+from kncal.observe.run_data import RunData
 from kncal.observe.softness import model_signs, secant, signs
 from kncal.runs.solving import plan_checked
 from kncal.scene.bed_scene import BedScene
@@ -361,5 +361,5 @@ class _Bed:
             message="" if ended.completed else f"run for {share * length:.3g} of {length:.3g} s",
             cpu_seconds=runs.whole(name),
             errors={} if top is None else bed_errors(run, top, self.options.tolerances),
-            signs=signs(run.data, None if top is None else top.data),
+            signs=signs(run, top),
         )

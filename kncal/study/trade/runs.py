@@ -15,8 +15,7 @@ from kncal.core.awake import awake
 from kncal.core.errors import InputError, ReadError
 from kncal.core.mpi import check_fit
 from kncal.engines.checkpoint import last_checkpoint
-from kncal.observe.bed_compare import BedRunData, ObservedRun, observed
-from kncal.observe.compare import RunData
+from kncal.observe.run_data import BedRunData, RunData, observed
 from kncal.record.series import read_series
 from kncal.runs.folder import read_model_folder, read_result
 from kncal.runs.records import RESULT
@@ -109,7 +108,7 @@ class ContactRuns(Runs[RunData]):
 
 
 @dataclass(kw_only=True)
-class BedRuns(Runs[ObservedRun]):
+class BedRuns(Runs[BedRunData]):
     """Runs of a bed: one that a limit of time stopped goes on from its checkpoint when it is run again.
 
     Attributes

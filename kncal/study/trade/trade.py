@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
+from kncal.observe.softness import Sign
 from kncal.study.variants import Variant
 
 #: Shares of the calibrated k_n, or of the real modulus, that a trade tries.
@@ -80,28 +81,6 @@ class MetricError:
         if abs(self.error) + width <= tolerance:
             return "ok"
         return "outside" if abs(self.error) - width > tolerance else "undecided"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Sign:
-    """One way in which softness changes the physics.
-
-    Attributes
-    ----------
-    name : "overlap_share", "leaking", "contact_number", "sound_speed_ratio" ...
-    value : what was found, in ``unit``
-    limit : where it begins to matter; ``source``: of this limit
-    changed : whether it is beyond the limit
-    text : one sentence
-    """
-
-    name: str
-    value: float
-    unit: str
-    limit: float
-    source: str
-    changed: bool
-    text: str
 
 
 @dataclass(frozen=True, kw_only=True)

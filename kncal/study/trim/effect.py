@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from kncal.core.errors import InputError
-from kncal.observe.bed_compare import ObservedRun, observed, rows_between
-from kncal.observe.bed_rows import DOUBT, BedRow
-from kncal.observe.compare import RunData
 from kncal.observe.cost import CPU_MEASURABLE, CPU_TRUSTED
-from kncal.observe.difference import Difference, Side, difference, metric_names, path_difference
+from kncal.observe.difference import rows_between
+from kncal.observe.row import Row
+from kncal.observe.run_data import BedRunData, RunData, observed
 from kncal.observe.truth import predicted_errors
 from kncal.runs.workflow import load_bed_run, load_run
-from kncal.scene.metrics import metric_unit
 from kncal.study import VariantRun
 from kncal.study.trim.base import OFF, CostChange, Effect, Part
 
@@ -35,7 +33,7 @@ def see_contacts(run: VariantRun) -> RunData:
     return replace(data, predicted=predicted_errors(data.model, data.observations))
 
 
-def see_bed(run: VariantRun) -> ObservedRun:
+def see_bed(run: VariantRun) -> BedRunData:
     """Read a completed run of a bed, and observe it."""
     return observed(load_bed_run(_folder(run)))
 
@@ -51,8 +49,9 @@ def resolution_of(full: RunData, fine: RunData) -> dict[str, float]:
 
     ``fine`` is the same scene at half the step. For metrics without a predicted error (`kncal.observe.truth`).
     """
-    rows = _contact_rows(fine, full, {})
-    return {row.metric: 2.0 * _FIRST_ORDER * abs(row.difference) for row in rows if row.difference is not None}
+    rows = rows_between(fine, full, {}, NAMES)
+    moved = {row.metric: row.difference.value for row in rows}
+    return {name: 2.0 * _FIRST_ORDER * abs(value) for name, value in moved.items() if value is not None}
 
 
 def contact_effects(
@@ -70,31 +69,25 @@ def contact_effects(
     recorded = part is not None and part.output
     found = [
         _contact_effect(row, 0.0 if recorded else _width(row, resolution), tolerances)
-        for row in _contact_rows(tried, full, tolerances)
+        for row in rows_between(tried, full, tolerances, NAMES)
     ]
     # a tolerance for what the scene has not, with or without the part
     found = [replace(e, verdict="-") if e.full is None and e.change is None and e.tried is None else e for e in found]
     return _settled(found)
 
 
-def _contact_rows(tried: RunData, full: RunData, tolerances: Iterable[str]) -> tuple[Difference, ...]:
-    sides = Side(NAMES[0], tried), Side(NAMES[1], full)
-    names = metric_names(tried, full, tolerances)
-    return (*(difference(name, *sides) for name in names), *path_difference(tried.trajectory, full.trajectory).rows)
+def _width(row: Row, resolution: Mapping[str, float]) -> float | None:
+    return row.difference.width if row.difference.width is not None else resolution.get(row.metric)
 
 
-def _width(row: Difference, resolution: Mapping[str, float]) -> float | None:
-    return row.numerical if row.numerical is not None else resolution.get(row.metric)
-
-
-def _contact_effect(row: Difference, width: float | None, tolerances: Mapping[str, float]) -> Effect:
-    change, tolerance = row.difference, tolerances.get(row.metric)
+def _contact_effect(row: Row, width: float | None, tolerances: Mapping[str, float]) -> Effect:
+    change, tolerance = row.difference.value, tolerances.get(row.metric)
     width = None if width is None else max(width, _ROUNDING)
     effect = Effect(
         metric=row.metric,
-        unit=metric_unit(row.metric),
-        full=row.reference,
-        tried=row.value,
+        unit=row.unit,
+        full=row.reference.value,
+        tried=row.run.value,
         change=change,
         uncertainty=None if change is None else width,
         basis=row.basis,
@@ -143,7 +136,7 @@ def _settled(effects: list[Effect]) -> tuple[Effect, ...]:
 
 
 def bed_effects(
-    tried: ObservedRun, full: ObservedRun, tolerances: Mapping[str, float], lost: Mapping[str, str]
+    tried: BedRunData, full: BedRunData, tolerances: Mapping[str, float], lost: Mapping[str, str]
 ) -> tuple[Effect, ...]:
     """Return the change of every quantity of a bed; ``lost``: quantity -> why it cannot be compared."""
     found = [
@@ -153,22 +146,21 @@ def bed_effects(
     return _settled(found)
 
 
-def _bed_effect(row: BedRow, limits: bool, lost: str) -> Effect:
-    change, width = row.difference, row.uncertainty
-    if change is not None and width is not None and row.significant is None:
-        width *= DOUBT
+def _bed_effect(row: Row, limits: bool, lost: str) -> Effect:
+    found = row.difference
+    change, width = found.value, None if found.width is None else found.deciding
     effect = Effect(
         metric=row.metric,
         unit=row.unit,
-        full=row.hertz,
-        tried=row.linear,
+        full=row.reference.value,
+        tried=row.run.value,
         change=change,
         uncertainty=width,
         basis=row.basis,
         tolerance=row.tolerance,
         verdict="-",
-        significant=row.significant,
-        needed_end_time=row.needed_end_time,
+        significant=found.significant,
+        needed_end_time=found.needed_end,
         reason=row.reason,
     )
     if lost:
@@ -181,7 +173,7 @@ def _bed_effect(row: BedRow, limits: bool, lost: str) -> Effect:
     if row.tolerance is not None:
         return replace(effect, verdict={"ok": "within", "outside": "changed"}.get(row.verdict, "undecided"))
     # where nothing is judged, a difference that is not seen in a short run is no proof that there is none
-    return effect if limits else replace(effect, verdict="changed" if row.significant else "undecided")
+    return effect if limits else replace(effect, verdict="changed" if found.significant else "undecided")
 
 
 def cost_change(part: Part | None, tried: VariantRun, full: VariantRun, engine: str) -> CostChange:

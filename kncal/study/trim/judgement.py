@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from kncal.core.units import quantity
-from kncal.observe.bed_verdict import plus_minus
+from kncal.core.units import plus_minus, quantity
 from kncal.study.trim.base import (
     CANNOT_RUN,
     EITHER,
