@@ -63,7 +63,7 @@ def test_terminal_velocity(name: str, end_time: float, coupling: float, tmp_path
     assert results["linear"].status == "completed", results
     data = load_bed_run(tmp_path / "run" / "linear")
     found = compare(data, data, {})  # one run is enough: there is no contact
-    final = found.observations[0].final
+    final = found.run.seen.final
     assert final is not None and final.settling is not None
     end = data.model.couplings * data.model.coupling
     assert final.time == pytest.approx(end)
@@ -94,7 +94,7 @@ def test_a_large_column_costs_no_more(tmp_path: Path) -> None:
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 15.0
     data = load_bed_run(out / "linear")
-    final = compare(data, data, {}).observations[0].final
+    final = data.seen.final
     assert final is not None
     assert final.slip == pytest.approx(0.4574, rel=0.01)
 
@@ -114,7 +114,7 @@ def test_packed_bed(tmp_path: Path) -> None:
     assert [r.status for r in results.values()] == ["completed", "completed"], results
     found = compare(load_bed_run(out / "linear"), load_bed_run(out / "hertz"))
     reference = expected("packed_bed", "ergun_ratio")
-    plateaus = found.observations[0].plateaus
+    plateaus = found.run.seen.plateaus
     assert [p.U_0 for p in plateaus] == [0.1, 0.3, 0.6]
     for p in plateaus:
         assert p.ratio == pytest.approx(reference["value"], rel=reference["rel_tol"])
