@@ -257,11 +257,7 @@ def _print_comparison(comparison: Comparison[Any]) -> None:
     rows = []
     for row in comparison.rows:
         tolerance = "" if row.tolerance is None else f"{100.0 * row.tolerance:g} %"
-        values = [
-            show.quantity(side.value, row.unit, 5)
-            + ("" if side.width is None or side.value is None else f" ± {show.quantity(side.width, row.unit, 2)}")
-            for side in (row.run, row.reference)
-        ]
+        values = [show.quantity(side.value, row.unit, 5, width=side.width) for side in (row.run, row.reference)]
         rows.append([row.metric, *values, difference_text(row), tolerance, row.verdict])
     for name, unit in (("steps", ""), ("dt", "s"), ("cpu_seconds", "s")):
         rows.append([name, *(show.quantity(getattr(cost, name), unit) for cost in comparison.costs), "", "", ""])

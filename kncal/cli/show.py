@@ -45,11 +45,11 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() or c == "\n" else "\N{REPLACEMENT CHARACTER}" for c in text)
 
 
-def quantity(value: float | None, unit: str = "", digits: int = 4) -> str:
-    """Return a number with its unit and a fitting prefix."""
+def quantity(value: float | None, unit: str = "", digits: int = 4, *, width: float | None = None) -> str:
+    """Return a number with its unit and a fitting prefix, and with its width if there is one."""
     from kncal.core.units import quantity as with_unit
 
-    return with_unit(value, unit, digits)
+    return with_unit(value, unit, digits, width=width)
 
 
 def percent(share: float | None) -> str:

@@ -23,13 +23,18 @@ def si_prefix(values: ArrayLike, unit: str) -> tuple[float, str]:
     return 10.0**-exponent, f"{_PREFIXES[exponent]}{unit}"
 
 
-def quantity(value: float | None, unit: str, digits: int = 5) -> str:
+def quantity(value: float | None, unit: str, digits: int = 5, *, width: float | None = None) -> str:
     """Return a number with its unit and a fitting prefix; "–" for one that is not there; integers in full.
 
-    The unit "%" takes a share (0.05 is 5 %), "" and "–" are numbers without a unit.
+    The unit "%" takes a share (0.05 is 5 %), "" and "–" are numbers without a unit. With ``width`` both have one
+    prefix, that of the value: "323.36 ± 0.94 mm".
     """
     if value is None or not np.isfinite(value):
         return "–"
+    if width is not None and np.isfinite(width):
+        scaled = unit not in ("", "–", "%") and not unit.startswith("rad")
+        factor, label = si_prefix(value or width, unit) if scaled else (100.0 if unit == "%" else 1.0, unit.strip("–"))
+        return f"{plus_minus(factor * value, factor * width)} {label}".rstrip()
     if unit == "%":
         return f"{100.0 * value:.3g} %"
     if unit in ("", "–"):

@@ -125,3 +125,18 @@ def test_the_same_data_give_the_same_files(tmp_path):
     (png, svg), (png_2, svg_2) = files
     assert png.read_bytes().startswith(b"\x89PNG") and png.read_bytes() == png_2.read_bytes()
     assert b"<svg" in svg.read_bytes() and svg.read_bytes() == svg_2.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("value", "width", "unit", "text"),
+    [
+        (0.32336, 9.4e-4, "m", "323.36 ± 0.94 mm"),
+        (0.0, 2e-6, "m", "0.0 ± 2.0 µm"),
+        (0.05, 0.001, "%", "5.00 ± 0.10 %"),
+        (0.898, 0.0037, "–", "0.8980 ± 0.0037"),
+        (12.5, 0.31, "rad/s", "12.50 ± 0.31 rad/s"),
+        (None, 0.1, "m", "–"),
+    ],
+)
+def test_a_value_and_its_width_have_one_prefix(value, width, unit, text):
+    assert quantity(value, unit, width=width) == text
