@@ -43,7 +43,7 @@ _WHO = {"particles": "two particles", "walls": "a particle and a wall", "all": "
 
 def kn_from_run(folder: Path, uncertain: Sequence[str], picture: Path | None, *, json: bool) -> None:
     """Print the impact speeds of a run and k_n at them."""
-    from kncal.report.plots import plot_impact_speeds
+    from kncal.report.speeds import plot_impact_speeds
     from kncal.runs.impact_speeds import run_speeds
     from kncal.runs.records import MANIFEST
     from kncal.scene.model import KINDS

@@ -50,13 +50,13 @@ def stability(
     if json:
         show.as_json(found.to_dict() | {"report": str(page)})
         return
-    for title, table, text in (
-        ("Edges of stability", edge_table(found), (0, 1, 5, 8, 10)),
-        ("Steps for a correct restitution", accuracy_table(found), (0, 6)),
-        ("Edges of the coupled algorithm", bed_table(found), (0, 3, 4, 5)),
+    for title, table in (
+        ("Edges of stability", edge_table(found)),
+        ("Steps for a correct restitution", accuracy_table(found)),
+        ("Edges of the coupled algorithm", bed_table(found)),
     ):
         if table.rows:
-            show.table(title, table.headings, table.rows, text=text)
+            show.table(title, table.headings, table.rows, text=table.text)
     for sentence in (*found.sentences(), *(f"Note: {note}" for note in found.given.notes)):
         show.say(sentence)
     show.say(f"report: {page}")

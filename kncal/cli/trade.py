@@ -128,9 +128,8 @@ def _print(result: TradeResult) -> None:
     near = shown_points(shown, conclusion)
     front = [shown.reference, *near]
     found = point_table(shown, conclusion, front)
-    last = len(found.headings) - 1
     title = f"{shown.case}: the contacts that ran" if shown.bed else f"{shown.case}: the Pareto front"
-    show.table(title, found.headings, found.rows, text=(0, last - 1, last))
+    show.table(title, found.headings, found.rows, text=found.text)
     if not shown.bed and len(near) < len(conclusion.front):
         show.say(
             f"{len(conclusion.front) - len(near)} points, over a tolerance more than {NEAR:g} times, are not shown."

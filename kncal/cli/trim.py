@@ -101,11 +101,11 @@ def _told() -> Iterator[OnStudyProgress]:
 
 def _print(found: Trim) -> None:
     from kncal.study.trim.base import DOES_NOT_APPLY
-    from kncal.study.trim.report import part_row
+    from kncal.study.trim.report import part_table
 
-    columns = ["part", "tried", "verdict", "CPU", "steps", "disk", "largest effect", "of"]
-    rows = [part_row(r) for r in found.results if r.verdict != DOES_NOT_APPLY]
-    show.table(f"{found.case}, {found.model}: parts of the physics", columns, rows, text=(0, 1, 2, 7))
+    parts = part_table(found)
+    title = f"{found.case}, {found.model}: parts of the physics"
+    show.table(title, parts.headings, parts.rows, text=parts.text)
     for result in found.results:
         if result.verdict != DOES_NOT_APPLY:
             show.say(f"  {result.sentence}")

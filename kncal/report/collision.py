@@ -11,7 +11,7 @@ from kncal.core.checks import Array
 from kncal.core.errors import InputError
 from kncal.physics.calibration import Calibration
 from kncal.physics.impact import impact_path
-from kncal.report.plots import Line
+from kncal.report.plots import Line, force_loops, overlap_time
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,8 +67,6 @@ def plot_collision(calibration: Calibration, picture: Path) -> None:
     if not picture.parent.is_dir():
         raise InputError(f"{picture}: the folder {picture.parent} does not exist")
     from matplotlib.figure import Figure
-
-    from kncal.report.plots import force_loops, overlap_time
 
     paths = collision_paths(calibration)
     over: dict[str, Line] = {kind: (p.t, p.delta) for kind, p in paths.items()}

@@ -1,91 +1,173 @@
-"""The figures of a report: which lines of a comparison are drawn, and what to look at in them."""
+"""The figures of a comparison: which pictures its runs allow, and what to look at in them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kncal.core.checks import Array
+from kncal.observe.averages import BedObservations
 from kncal.observe.compare import Comparison
 from kncal.observe.contacts import overlaps
-from kncal.observe.run_data import ExactMotion, RunData
+from kncal.observe.run_data import BedRunData, ExactMotion, RunData
 from kncal.physics.material import sphere_mass
 from kncal.record.frames import Trajectory
+from kncal.record.series import BedSeries
 from kncal.report import plots
+from kncal.report.animation import animate, has_mp4, snapshot
+from kncal.report.page import Figure
+from kncal.report.style import Album
 from kncal.scene.model import PairContact
 from kncal.scene.scene import AXES, Particle, Scene, Wall
 
 if TYPE_CHECKING:
     import pandas as pd
-    from matplotlib.axes import Axes
 
 #: Points of a drawn smooth line.
 _POINTS = 600
 
 
-@dataclass(frozen=True, kw_only=True)
-class Figure:
-    """A figure in a report's folder: its files, what to look at, and what a blind reader is told."""
+def draw_contacts(comparison: Comparison[RunData], album: Album) -> None:
+    """Draw the first contact of both runs, and their motion."""
+    _first_contacts(comparison, album)
+    label, paths = _motions(comparison)
+    album.add(
+        "motion",
+        plots.motion(paths, label),
+        f"The whole run, {label}: how the contact model changes the motion after each contact.",
+        f"{label} against time, linear and Hertz.",
+    )
 
-    name: str
-    png: str
-    svg: str
-    caption: str
-    alt: str
 
-
-def draw_figures(
-    comparison: Comparison[RunData], kn_curves: Mapping[str, Any], error_table: pd.DataFrame, folder: Path
-) -> tuple[Figure, ...]:
-    """Write every figure that the data allow as PNG and SVG into ``folder``.
+def draw_calibration(kn_curves: Mapping[str, Any], error_table: pd.DataFrame, album: Album) -> None:
+    """Draw what puts a calibration in context: k_n of several methods, and the error against the time step.
 
     Parameters
     ----------
-    comparison : Comparison
     kn_curves : as `kncal.report.overview.kn_curves` returns it; empty if there is no speed to calibrate at
     error_table : as `kncal.report.overview.error_table` returns it; empty if there is no prediction
     """
-    figures = []
-
-    def add(name: str, ax: Axes, caption: str, alt: str) -> None:
-        png, svg = plots.save(ax, folder, name)
-        figures.append(Figure(name=name, png=png.name, svg=svg.name, caption=caption, alt=alt))
-
-    _add_contact(comparison, add)
-    label, paths = _motions(comparison)
-    add(
-        "motion",
-        plots.motion(paths, label),
-        f"The whole run, {label}: what the softer or stiffer contact does to the motion after each contact.",
-        f"{label} against time, linear and Hertz.",
-    )
-    if kn_curves:
-        for against, chosen in zip(("v_0", "e_n"), kn_curves["chosen"], strict=True):
-            what = "impact speed" if against == "v_0" else "restitution"
-            add(
-                f"k_n_{against}",
-                plots.stiffness(kn_curves[against], kn_curves[f"against_{against}"], against, float(chosen)),
-                f"Linear stiffness by each method against {what}; the dotted line is this case. The curves"
-                " lie as far apart as the choice of the method matters.",
-                f"Linear stiffness k_n against {what} for several methods.",
-            )
+    for against, chosen in zip(("v_0", "e_n"), kn_curves.get("chosen", ()), strict=False):
+        what = "impact speed" if against == "v_0" else "restitution"
+        album.add(
+            f"k_n_{against}",
+            plots.stiffness(kn_curves[against], kn_curves[f"against_{against}"], against, float(chosen)),
+            f"Linear stiffness by each method against {what}; the dotted line is this case. The distance between the"
+            " curves shows how much the choice of the method matters.",
+            f"Linear stiffness k_n against {what} for several methods.",
+        )
     if len(error_table):
-        add(
+        album.add(
             "error_steps",
             plots.errors(error_table),
-            "What the time step costs in accuracy: predicted worst error over the sub-step phases of first"
-            " touch; the marked points are the steps of these runs.",
+            "What the time step costs in accuracy: the predicted error for the worst moment of first touch within a"
+            " step. The marked points are the steps of these runs.",
             "Predicted relative error against steps per contact, linear and Hertz.",
         )
-    return tuple(figures)
 
 
-def _add_contact(comparison: Comparison[RunData], add: Callable[[str, Axes, str, str], None]) -> None:
+#: Picture of a bed -> (what an observation must hold, how it is drawn, what to look at, what it shows).
+_OBSERVED: Mapping[str, tuple[str, Any, str, str]] = {
+    "voidage": (
+        "eps_g",
+        lambda runs: plots.voidage_maps(runs).axes[0],
+        "Time mean of the void fraction eps_g, averaged over the depth, and the difference. A difference by chance has"
+        " no shape.",
+        "Maps of the mean void fraction, linear, Hertz, and their difference.",
+    ),
+    "overlaps": (
+        "overlaps",
+        plots.overlap_histogram,
+        "Overlaps of all contacts between particles: here the two contact models must differ.",
+        "Share of contacts against overlap over diameter, linear and Hertz.",
+    ),
+    "spectrum": (
+        "spectrum",
+        plots.pressure_spectra,
+        "Spectrum of the inlet pressure: the peak is the frequency of the bubbles.",
+        "Spectral density of the inlet pressure against frequency, linear and Hertz.",
+    ),
+    "bubbles": (
+        "tracks",
+        plots.bubble_rise,
+        "Rise velocity of the bubbles against their diameter D; of a single one it is 0.711 √(g D).",
+        "Rise velocity of bubbles against their diameter, linear and Hertz.",
+    ),
+    "fluidization_curve": (
+        "curve",
+        plots.fluidization_curves,
+        "Pressure drop against falling gas velocity; U_mf is where the curve of the packed bed reaches the weight.",
+        "Normalised pressure drop against gas velocity, linear and Hertz, with the packed bed's curve.",
+    ),
+    "velocity": (
+        "solids",
+        lambda runs: plots.velocity_profiles(runs, _mean_height(runs)),
+        "Mean vertical velocity of the particles across the bed, at its mean height.",
+        "Mean particle velocity against x, linear and Hertz.",
+    ),
+}
+
+
+def draw_bed(comparison: Comparison[BedRunData], album: Album) -> None:
+    """Draw every picture that the runs of a bed allow.
+
+    The animation is a GIF, its last picture a PNG; with the extra ``kncal[mp4]`` there is an MP4 as well.
+    """
+    data = comparison.runs
+    runs = {d.model.kind: (d.series, d.seen) for d in data}
+    particles = comparison.reference.model.scene.particles
+    moving, gas = not particles.frozen, all(d.seen.eps_g is not None for d in data)
+    several = moving and particles.count > 1
+    signals = {}
+    if gas:
+        signals["p_in"] = "Pressure at the inlet." + (
+            " Two chaotic runs never follow each other: compare the means and their bands." if several else ""
+        )
+    if particles.count and moving:
+        signals["z_mean"] = (
+            "Mean height of the particles: how far the bed is expanded, and whether it still drifts."
+            if several
+            else "Height of the particle."
+        )
+    for name, caption in signals.items():
+        alt = f"{plots.SIGNALS[name][0]} against time, linear and Hertz."
+        album.add(name, plots.signal_time(runs, name), caption, alt)
+    for name, (needed, draw, caption, alt) in _OBSERVED.items():
+        seen = [d.seen for d in data if getattr(d.seen, needed) is not None]
+        if name == "bubbles":
+            seen = [s for s in seen if s.tracks is not None and len(s.tracks.diameter)]
+        if seen and (gas or name not in ("voidage", "velocity")):
+            album.add(name, draw(runs), caption, alt)
+    if several and all(len(d.series.t_frame) > 1 for d in data):
+        _animation({kind: series for kind, (series, _) in runs.items()}, album)
+
+
+def _mean_height(runs: Mapping[str, tuple[BedSeries, BedObservations]]) -> float:
+    return float(np.mean([seen.averages["z_mean"].mean for _, seen in runs.values()]))
+
+
+def _animation(runs: Mapping[str, BedSeries], album: Album) -> None:
+    path = animate(runs, album.folder / "animation.gif")
+    still = snapshot(runs, min(float(series.t_frame[-1]) for series in runs.values()), album.folder / "particles.png")
+    if has_mp4():
+        still = animate(runs, album.folder / "animation.mp4")
+    album.figures.append(
+        Figure(
+            name="animation",
+            png=still.name,
+            svg=path.name,
+            caption="Both runs at equal times, seen from the front, coloured by the speed of the particles.",
+            alt="Animation of the particles, linear and Hertz side by side.",
+            wide=True,
+        )
+    )
+
+
+def _first_contacts(comparison: Comparison[RunData], album: Album) -> None:
     """Draw the first contact of the Hertz run in both models, unless nothing changes in it."""
     contacts = comparison.reference.observations.contacts
     if not contacts:
@@ -100,18 +182,18 @@ def _add_contact(comparison: Comparison[RunData], add: Callable[[str, Axes, str,
     loops = {kind: c.exact_force for kind, c in lines if c.exact_force is not None}
     pair = " and ".join(contacts[0].pair)
     markers = "Markers: the runs." + (" Lines: the exact solutions, free of any time step." if exact else "")
-    add(
+    album.add(
         "overlap_time",
         plots.overlap_time(runs, exact),
         f"First contact of {pair}: do the two models agree in height and width? {markers}",
         f"Overlap against time of the first contact of {pair}, linear and Hertz.",
     )
     if forces or loops:
-        add(
+        album.add(
             "force_overlap",
             plots.force_loops(forces, loops),
-            "The same contact, force against overlap: each loop's area is the energy lost, its slope the"
-            " stiffness; Hertz starts soft and ends stiff, the linear spring does not.",
+            "The same contact, force against overlap. The area of a loop is the energy lost, its slope the stiffness:"
+            " Hertz starts soft and ends stiff, the linear spring has one stiffness.",
             f"Normal force against overlap of the first contact of {pair}, linear and Hertz.",
         )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,12 +16,38 @@ from kncal.physics.material import Pair
 from kncal.physics.methods import METHODS
 from kncal.physics.timestep import predict_error
 from kncal.scene.model import Model
+from kncal.scene.needs import decide
+from kncal.scene.plan import pair_choice, pair_of
 
 if TYPE_CHECKING:
     import pandas as pd
 
 #: Steps per contact of the speed–accuracy table.
 STEPS = (10, 20, 50, 100, 200)
+
+
+def _nothing() -> pd.DataFrame:
+    import pandas as pd
+
+    return pd.DataFrame()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Context:
+    """What puts a comparison in context; each may be empty.
+
+    Attributes
+    ----------
+    methods : of `method_table`
+    kn_curves : of `kn_curves`
+    errors : of `error_table`
+    needs : columns physics, needed, why, decided_by
+    """
+
+    methods: pd.DataFrame = field(default_factory=_nothing)
+    kn_curves: Mapping[str, Any] = field(default_factory=dict)
+    errors: pd.DataFrame = field(default_factory=_nothing)
+    needs: pd.DataFrame = field(default_factory=_nothing)
 
 
 def method_table(
@@ -116,3 +143,17 @@ def error_table(models: Mapping[str, Model], steps: Sequence[float] = STEPS) -> 
                 }
             )
     return pd.DataFrame(rows)
+
+
+def context_of(models: Mapping[str, Model]) -> Context:
+    """Return the context of the runs of one scene by model; the calibration is that of its first pair."""
+    scene = next(iter(models.values())).scene
+    a, b = scene.body_pairs()[0]
+    e_n, _, v_0, _ = pair_choice(scene, a, b)
+    errors, needs = error_table(models), decide(scene).to_frame()
+    if v_0 is None:
+        return Context(errors=errors, needs=needs)
+    law, end, pair, options = scene.contact.law, scene.contact.end, pair_of(a, b), scene.contact.method_options
+    methods = method_table(pair, v_0=v_0, e_n=e_n, law=law, end=end, options=options)
+    curves = kn_curves(pair, v_0=v_0, e_n=e_n, law=law, end=end)
+    return Context(methods=methods, kn_curves=curves, errors=errors, needs=needs)

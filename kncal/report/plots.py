@@ -1,66 +1,46 @@
-"""Pictures of contacts and runs.
+"""Pictures of contacts and of beds; `kncal.report.style` saves them.
 
-Every function takes SI data, draws on ``ax`` (on a figure of its own if None) and returns the axes.
-The colours are those of Okabe and Ito, which people with any colour vision tell apart; dashes differ too.
+Every function takes SI data, draws on a figure of its own (or on ``ax``) and returns the axes. ``runs`` of a bed is a
+mapping from model ("linear", "hertz") to series and what was observed in it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kncal.core.checks import Array
+from kncal.core.checks import Array, one_of
 from kncal.core.errors import InputError
 from kncal.core.units import si_prefix
-from kncal.observe.impact_speeds import STATISTICS, ImpactSpeeds
+from kncal.observe.averages import BedObservations
+from kncal.observe.bubbles import RISE
+from kncal.observe.fields import velocity_profile
+from kncal.record.facts import BedFacts
+from kncal.record.series import BedSeries
+from kncal.report.style import CYCLE, DASHES, STYLES, dress, line_style, log_axes, model_name, new_axes, plain_ticks
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 #: (abscissa, ordinate) of one line, each of shape (n,).
 Line = tuple[Array, Array]
-
-#: Colour, dashes and marker of each model.
-STYLES: Mapping[str, dict[str, Any]] = {
-    "linear": {"color": "#0072B2", "linestyle": "-", "marker": "o"},
-    "hertz": {"color": "#D55E00", "linestyle": (0, (5, 2)), "marker": "s"},
-}
-_CYCLE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9", "#000000")
-_DASHES = ("-", (0, (5, 2)), (0, (5, 1.5, 1, 1.5)), (0, (1, 1.5)), (0, (8, 2)), (0, (3, 1, 1, 1, 1, 1)), "-")
+Runs = Mapping[str, tuple[BedSeries, BedObservations]]
 
 #: More markers than this on one line hide each other.
 _MARKERS = 60
-
+#: More points than this on one line do not show.
+_POINTS = 4000
 #: Shown lines of the error figure: error column -> (text, dashes).
 _ERRORS = {"error_e_n": ("restitution e_n", "-"), "error_delta_max": ("maximum overlap", (0, (5, 2)))}
-
-
-def new_axes(width: float = 6.6, height: float = 4.2) -> Axes:
-    """Return axes on a figure of their own (inches) that needs no display."""
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), layout="constrained").add_subplot()
-
-
-def save(ax: Axes, folder: Path, name: str) -> tuple[Path, Path]:
-    """Write the figure of ``ax`` as ``name.png`` (130 dots per inch) and ``name.svg``; returns both paths.
-
-    The same data give the same bytes: no date, no random identifiers.
-    """
-    from matplotlib import rc_context
-
-    figure = ax.get_figure(root=True)
-    if figure is None:
-        raise InputError(f"picture {name}: the axes have been removed from their figure")
-    png, svg = folder / f"{name}.png", folder / f"{name}.svg"
-    with rc_context({"svg.hashsalt": name}):
-        figure.savefig(png, dpi=130, metadata={"Software": None})
-        figure.savefig(svg, metadata={"Date": None, "Creator": None})
-    return png, svg
+#: Signals that `signal_time` draws: field of `BedSeries` -> (label, unit, name of its average).
+SIGNALS: Mapping[str, tuple[str, str, str]] = {
+    "p_in": ("pressure at the inlet", "Pa", "pressure_drop"),
+    "z_mean": ("mean particle height", "m", "z_mean"),
+}
 
 
 def overlap_time(runs: Mapping[str, Line], exact: Mapping[str, Line], ax: Axes | None = None) -> Axes:
@@ -87,67 +67,48 @@ def force_loops(runs: Mapping[str, Line], exact: Mapping[str, Line], ax: Axes | 
         low = min(1.1 * low, -0.2 * high)  # room for the text
         ax.axhspan(low, 0.0, color="#F0E442", alpha=0.25, linewidth=0.0, zorder=0)
         ax.set_ylim(low, high)
-        ax.annotate(
-            "attraction: at the end of a damped contact\nthe dashpot pulls harder than the spring pushes",
-            xy=(0.98, 0.02),
-            xycoords="axes fraction",
-            ha="right",
-            va="bottom",
-            fontsize=8,
-            color="0.25",
-        )
+        text = "attraction: at the end of a damped contact\nthe dashpot pulls harder than the spring pushes"
+        ax.text(0.98, 0.02, text, transform=ax.transAxes, ha="right", va="bottom", fontsize=9, color="0.25")
     return ax
 
 
-def stiffness(x: Array, curves: Mapping[str, Array], against: str, chosen: float, ax: Axes | None = None) -> Axes:
+def stiffness(x: Array, curves: Mapping[str, Array], against: str, chosen: float) -> Axes:
     """k_n [N/m] of several methods against impact speed (``against="v_0"``, m/s) or restitution ("e_n").
 
     ``x`` and every curve have shape (n,); NaN leaves a gap. ``chosen`` is the scene's own value, a line.
     """
     if against not in ("v_0", "e_n"):
         raise InputError(f"against = {against!r}: expected 'v_0' or 'e_n'")
-    ax = new_axes() if ax is None else ax
+    ax = new_axes()
     factor, unit = si_prefix(np.concatenate(list(curves.values())), "N/m")
     for index, (method, k_n) in enumerate(curves.items()):
-        colour, dashes = _CYCLE[index % len(_CYCLE)], _DASHES[index % len(_DASHES)]
+        colour, dashes = CYCLE[index % len(CYCLE)], DASHES[index % len(DASHES)]
         ax.plot(x, factor * k_n, label=method, linewidth=1.8, color=colour, linestyle=dashes)
-    if against == "v_0":
-        ax.set_xscale("log")
-        ax.set_yscale("log")
-        _plain_ticks(ax.xaxis)
-        _plain_ticks(ax.yaxis)
-        mark = f"this case: {chosen:.3g} m/s"
-    else:
-        mark = f"this case: {chosen:.3g}"
+    mark = f"this case: {chosen:.3g}{' m/s' if against == 'v_0' else ''}"
     ax.axvline(chosen, color="0.45", linewidth=1.0, linestyle=(0, (2, 2)), label=mark, zorder=1)
-    ax.set_xlabel("impact speed v_0 [m/s]" if against == "v_0" else "normal restitution e_n [–]")
-    ax.set_ylabel(f"linear stiffness k_n [{unit}]")
-    _dress(ax, columns=3)
-    return ax
+    if against == "v_0":
+        log_axes(ax)
+    x_label = "impact speed v_0 [m/s]" if against == "v_0" else "normal restitution e_n [–]"
+    return dress(ax, x_label, f"linear stiffness k_n [{unit}]", columns=3)
 
 
-def motion(runs: Mapping[str, Line], label: str, ax: Axes | None = None) -> Axes:
+def motion(runs: Mapping[str, Line], label: str) -> Axes:
     """A coordinate [m] named ``label`` against time [s], one line per model."""
-    ax = new_axes() if ax is None else ax
+    ax = new_axes()
     t_factor, t_unit = si_prefix(_all(runs, 0), "s")
     y_factor, y_unit = si_prefix(_all(runs, 1), "m")
     for kind, (t, y) in runs.items():
-        style = {k: v for k, v in STYLES[kind].items() if k != "marker"}
-        ax.plot(t_factor * t, y_factor * y, label=_name(kind), linewidth=1.8, **style)
-    ax.set_xlabel(f"time [{t_unit}]")
-    # a name from a case is text, also if it holds a $
-    ax.set_ylabel(f"{label} [{y_unit}]", parse_math=False)
-    _dress(ax, columns=2)
-    return ax
+        ax.plot(t_factor * t, y_factor * y, label=model_name(kind), linewidth=1.8, **line_style(kind))
+    return dress(ax, f"time [{t_unit}]", f"{label} [{y_unit}]")
 
 
-def errors(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
+def errors(table: pd.DataFrame) -> Axes:
     """Predicted worst error [-] against steps per contact; the steps really run are marked.
 
     ``table`` has columns ``model``, ``steps_per_contact``, ``run`` (bool), ``error_e_n`` and
     ``error_delta_max``.
     """
-    ax = new_axes() if ax is None else ax
+    ax = new_axes()
     for kind, part in table.sort_values("steps_per_contact").groupby("model", sort=False):
         style = STYLES[str(kind)]
         for column, (text, dashes) in _ERRORS.items():
@@ -156,65 +117,30 @@ def errors(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
             shown = error > 0.0  # a logarithmic axis has no zero
             if not shown.any():
                 continue
-            ax.plot(
-                n[shown],
-                error[shown],
-                color=style["color"],
-                linestyle=dashes,
-                linewidth=1.8,
-                label=f"{_name(str(kind))}, {text}",
-            )
+            label = f"{model_name(str(kind))}, {text}"
+            ax.plot(n[shown], error[shown], linewidth=1.8, label=label, color=style["color"], linestyle=dashes)
             made = shown & part["run"].to_numpy(dtype=bool)
             ax.plot(n[made], error[made], style["marker"], color=style["color"], markersize=8)
     ax.plot([], [], "o", color="0.3", markersize=8, label="as run")
     ax.set_xscale("log")
     ax.set_yscale("log")
-    _plain_ticks(ax.xaxis)
-    ax.set_xlabel("steps per contact N [–]")
-    ax.set_ylabel("predicted worst relative error [–]")
-    _dress(ax, columns=2)
-    return ax
+    plain_ticks(ax.xaxis)
+    return dress(ax, "steps per contact N [–]", "predicted worst relative error [–]")
 
 
 def _markers_and_lines(
-    runs: Mapping[str, Line],
-    exact: Mapping[str, Line],
-    x_label: tuple[str, str],
-    y_label: tuple[str, str],
-    ax: Axes | None,
+    runs: Mapping[str, Line], exact: Mapping[str, Line], x: tuple[str, str], y: tuple[str, str], ax: Axes | None
 ) -> Axes:
     ax = new_axes() if ax is None else ax
-    x_factor, x_unit = si_prefix(np.concatenate([_all(runs, 0), _all(exact, 0)]), x_label[1])
-    y_factor, y_unit = si_prefix(np.concatenate([_all(runs, 1), _all(exact, 1)]), y_label[1])
-    for kind, (x, y) in exact.items():
-        style = STYLES[kind]
-        ax.plot(
-            x_factor * x,
-            y_factor * y,
-            color=style["color"],
-            linestyle=style["linestyle"],
-            linewidth=1.6,
-            label=f"{_name(kind)}, exact",
-        )
-    for kind, (x, y) in runs.items():
-        style = STYLES[kind]
-        ax.plot(
-            x_factor * x,
-            y_factor * y,
-            linestyle="none" if kind in exact else "-",
-            linewidth=0.8,
-            color=style["color"],
-            marker=style["marker"],
-            markersize=4.5,
-            markerfacecolor="white",
-            markeredgecolor=style["color"],
-            markevery=max(1, len(x) // _MARKERS),
-            label=f"{_name(kind)}, run",
-        )
-    ax.set_xlabel(f"{x_label[0]} [{x_unit}]")
-    ax.set_ylabel(f"{y_label[0]} [{y_unit}]")
-    _dress(ax, columns=4)
-    return ax
+    x_factor, x_unit = si_prefix(np.concatenate([_all(runs, 0), _all(exact, 0)]), x[1])
+    y_factor, y_unit = si_prefix(np.concatenate([_all(runs, 1), _all(exact, 1)]), y[1])
+    for kind, (a, b) in exact.items():
+        ax.plot(x_factor * a, y_factor * b, linewidth=1.6, label=f"{model_name(kind)}, exact", **line_style(kind))
+    for kind, (a, b) in runs.items():
+        style = STYLES[kind] | {"linestyle": "none" if kind in exact else "-", "linewidth": 0.8}
+        style |= {"markersize": 4.5, "markerfacecolor": "white", "markevery": max(1, len(a) // _MARKERS)}
+        ax.plot(x_factor * a, y_factor * b, label=f"{model_name(kind)}, run", **style)
+    return dress(ax, f"{x[0]} [{x_unit}]", f"{y[0]} [{y_unit}]", columns=4)
 
 
 def _drawn(ax: Axes, which: str) -> Array:
@@ -232,76 +158,174 @@ def _all(lines: Mapping[str, Line], which: int) -> Array:
     return np.concatenate([np.zeros(0), *(np.asarray(line[which], dtype=np.float64) for line in lines.values())])
 
 
-def _name(kind: str) -> str:
-    return {"linear": "linear", "hertz": "Hertz"}.get(kind, kind)
+def signal_time(runs: Runs, name: str) -> Axes:
+    """Draw one of `SIGNALS` against time: a thin line per model, and mean and 95 % interval where it was averaged."""
+    field = one_of("name", name, SIGNALS)
+    label, unit, averaged = SIGNALS[field]
+    ax = new_axes()
+    factor, shown_unit = si_prefix(np.concatenate([getattr(series, field) for series, _ in runs.values()]), unit)
+    for kind, (series, observed) in runs.items():
+        colour = STYLES[kind]["color"]
+        every = max(1, len(series.t) // _POINTS)
+        y = factor * getattr(series, field)
+        ax.plot(series.t[::every], y[::every], color=colour, linewidth=0.7, alpha=0.75, zorder=2)
+        if averaged not in observed.averages:
+            continue
+        found = observed.averages[averaged]
+        mean, half = factor * found.mean, factor * found.uncertainty
+        span = [observed.begin, series.t[-1]]
+        doubt = "" if found.reliable else " (not reliable)"
+        text = f"{model_name(kind)}: {mean:.4g} ± {half:.2g} {shown_unit}{doubt}"
+        ax.plot(span, [mean, mean], color=colour, linestyle=STYLES[kind]["linestyle"], linewidth=2.2, label=text)
+        ax.fill_between(span, mean - half, mean + half, color=colour, alpha=0.2, linewidth=0.0, zorder=3)
+    begins = [observed.begin for _, observed in runs.values() if observed.begin > 0.0]
+    if begins:
+        ax.axvspan(0.0, max(begins), color="0.93", linewidth=0.0, zorder=0)
+        ax.text(0.01, 0.02, "start-up, left out", transform=ax.transAxes, fontsize=9, color="0.35", va="bottom")
+    ax.set_xlim(0.0, max(float(series.t[-1]) for series, _ in runs.values()))
+    return dress(ax, "time [s]", f"{label} [{shown_unit}]", columns=1)
 
 
-def _dress(ax: Axes, columns: int) -> None:
-    """Light grid, no box, and the legend above the axes, where it hides nothing."""
-    ax.grid(True, which="major", color="0.88", linewidth=0.7)
-    ax.set_axisbelow(True)
-    ax.spines[["top", "right"]].set_visible(False)
-    if not ax.get_lines():
-        return
-    ax.legend(
-        loc="lower left",
-        bbox_to_anchor=(0.0, 1.0, 1.0, 0.1),
-        ncols=columns,
-        frameon=False,
-        fontsize=8.5,
-        borderaxespad=0.3,
-        columnspacing=1.4,
-        handlelength=2.6,
-    )
+def voidage_maps(runs: Runs) -> Figure:
+    """Draw the time mean void fraction of each model, averaged over the depth; of two models also the difference."""
+    from matplotlib.figure import Figure
+
+    maps = {kind: (series.facts, _depth_mean(observed)) for kind, (series, observed) in runs.items()}
+    facts = next(iter(maps.values()))[0]
+    if any(other.cells != facts.cells or other.size != facts.size for other, _ in maps.values()):
+        raise InputError("the runs have different gas grids: expected the same cells in the same box")
+    panels = len(maps) + (len(maps) == 2)
+    width, _, height = facts.size
+    panel = float(np.clip(4.6 * width / height, 1.5, 4.0))
+    figure = Figure(figsize=(1.0 + panels * (panel + 0.75), 5.4), layout="constrained")
+    axes = figure.subplots(1, panels, sharey=True, squeeze=False)[0]
+    image = None
+    for ax, (kind, (_, eps_g)) in zip(axes, maps.items(), strict=False):
+        image = _field(ax, facts, eps_g, cmap="cividis", vmin=0.35, vmax=1.0)
+        ax.set_title(model_name(kind), fontsize=10)
+    if image is not None:
+        _colour_bar(figure, image, list(axes[: len(maps)]), "eps_g [–]")
+    if len(maps) == 2:
+        (first, (_, a)), (second, (_, b)) = maps.items()
+        largest = max(float(np.abs(a - b).max()), 1e-3)
+        image = _field(axes[-1], facts, a - b, cmap="RdBu_r", vmin=-largest, vmax=largest)
+        axes[-1].set_title(f"{model_name(first)} – {model_name(second)}", fontsize=10)
+        _colour_bar(figure, image, [axes[-1]], "diff. [–]")
+    axes[0].set_ylabel(f"z [{si_prefix(facts.size, 'm')[1]}]")
+    return figure
 
 
-def _plain_ticks(axis: Any) -> None:
-    """On a logarithmic axis write 1, 2, 5, 10 as numbers, not as powers, and no minor labels that collide."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    axis.set_major_locator(LogLocator(base=10, subs=(1.0, 2.0, 5.0)))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_formatter(NullFormatter())
-
-
-#: Kind of impacts -> what meets; and the colours of a picture with two kinds.
-WHO_MEETS = {"particles": "two particles", "walls": "particle and wall", "all": "all contacts"}
-_IMPACT_COLOURS = ("#0072B2", "#D55E00")
-
-
-def plot_impact_speeds(speeds: Mapping[str, ImpactSpeeds], path: Path, title: str = "") -> None:
-    """Draw the shares of impacts per decade of speed, with the three speeds, into a picture (.png or .svg).
+def overlap_histogram(runs: Runs) -> Axes:
+    """Draw the share of contacts per decade of overlap, relative to the diameter; dotted: the mean, marks: the largest.
 
     A bin that begins at zero has no place on the logarithmic axis and is left out.
-
-    Raises
-    ------
-    InputError
-        If there was no impact, or the file is not of a kind that is drawn.
     """
-    shown = [found for found in speeds.values() if found.count]
-    if not shown:
-        raise InputError("impact speeds: there was no impact to draw")
-    if path.suffix not in (".png", ".svg"):
-        raise InputError(f"{path}: expected a picture name that ends in .png or .svg")
-    ax = new_axes(6.6, 5.0)
-    dashes = dict(zip(STATISTICS, (":", "-", "--"), strict=True))
-    for found, colour in zip(shown, _IMPACT_COLOURS, strict=False):
-        edges, counts = found.edges[1:], found.counts[1:]
-        used = np.flatnonzero(counts)
-        part = slice(max(int(used[0]) - 1, 0), int(used[-1]) + 2) if len(used) else slice(0, 1)
-        density = counts[part] / found.count / np.diff(np.log10(edges))[part]
-        label = f"{WHO_MEETS[found.kind]}, {found.count} impacts"
-        ax.stairs(density, edges[part.start : part.start + len(density) + 1], color=colour, label=label, fill=False)
-        for name, estimate in found.speeds.items():
-            told = f"{STATISTICS[name]} {estimate.value:.3g} m/s"
-            ax.axvline(estimate.value, color=colour, linestyle=dashes[name], linewidth=1.2, label=told)
+    ax = new_axes()
+    right = 0.0
+    for kind, (series, observed) in runs.items():
+        overlaps = observed.overlaps
+        if overlaps is None:
+            continue
+        colour = STYLES[kind]["color"]
+        edges = 100.0 * overlaps.edges / series.facts.diameter
+        drawn = slice(int(edges[0] == 0.0), None)
+        density = overlaps.histogram[drawn] / overlaps.counted / np.diff(np.log10(edges[drawn]))
+        ax.stairs(density, edges[drawn], color=colour, linewidth=1.5, label=model_name(kind), baseline=None)
+        mean, largest = (100.0 * value / series.facts.diameter for value in (overlaps.mean, overlaps.max))
+        ax.axvline(mean, color=colour, linestyle=":", linewidth=1.5, label=f"mean {mean:.3g} %")
+        ax.plot([largest], [density[density > 0.0].min()], "v", color=colour, label=f"largest {largest:.3g} %")
+        right = max(right, largest)
     ax.set_xscale("log")
-    ax.set_ylim(bottom=0.0)
-    ax.set_xlabel("impact speed v_0 [m/s]")
-    ax.set_ylabel("share of impacts per decade [–]")
-    ax.set_title(title, fontsize=10)
-    figure = ax.get_figure(root=True)
-    if figure is not None:
-        figure.legend(fontsize=8, loc="outside lower center", ncols=len(shown))
-        figure.savefig(path, dpi=130, metadata={"Software": None} if path.suffix == ".png" else {"Date": None})
+    if right:
+        ax.set_xlim(right=3.0 * right)  # the bins go on to 100 %
+    ax.set_yscale("log")
+    return dress(ax, "overlap δ / diameter [%]", "share of contacts per decade [–]")
+
+
+def pressure_spectra(runs: Runs) -> Axes:
+    """Draw the spectral density of the inlet pressure; the label names the dominant frequency."""
+    ax = new_axes()
+    highest, lowest = 0.0, np.inf
+    for kind, (_, observed) in runs.items():
+        spectrum = observed.spectrum
+        if spectrum is None:
+            continue
+        style = line_style(kind)
+        text = f"{model_name(kind)}: {spectrum.dominant:.3g} ± {spectrum.resolution:.2g} Hz"
+        ax.plot(spectrum.frequency[1:], spectrum.density[1:], linewidth=1.5, label=text, **style)
+        ax.axvline(spectrum.dominant, color=style["color"], linewidth=0.8, linestyle=(0, (2, 2)), zorder=1)
+        highest = max(highest, float(spectrum.density[1:].max()))
+        lowest = min(lowest, float(spectrum.density[1:].min()))
+    ax.set_xscale("log")
+    ax.set_yscale("log")
+    if highest:
+        ax.set_ylim(max(1e-8 * highest, 0.5 * lowest), 3.0 * highest)
+    return dress(ax, "frequency [Hz]", "pressure spectrum [Pa²/Hz]")
+
+
+def velocity_profiles(runs: Runs, z: float) -> Axes:
+    """Draw the mean vertical velocity of the particles across the bed in the cell layer at height ``z`` [m]."""
+    ax = new_axes()
+    for kind, (series, observed) in runs.items():
+        if observed.solids is None:
+            continue
+        x, v_z = velocity_profile(observed.solids, series.facts, z)
+        ax.plot(1e3 * x, v_z, linewidth=1.5, markersize=4, label=model_name(kind), **STYLES[kind])
+    ax.axhline(0.0, color="0.35", linewidth=0.8, zorder=1)
+    return dress(ax, "x [mm]", f"particle velocity at z = {1e3 * z:.3g} mm [m/s]")
+
+
+def bubble_rise(runs: Runs) -> Axes:
+    """Draw the rise velocity of every followed bubble against its diameter, and that of a single bubble."""
+    ax = new_axes()
+    largest, gravity = 0.0, 9.81
+    for kind, (series, observed) in runs.items():
+        if observed.tracks is None or not len(observed.tracks.diameter):
+            continue
+        style = STYLES[kind] | {"linestyle": "none", "markerfacecolor": "none", "markersize": 4.5}
+        label = f"{model_name(kind)}: {len(observed.tracks.diameter)} bubbles"
+        ax.plot(1e3 * observed.tracks.diameter, observed.tracks.velocity, label=label, **style)
+        largest, gravity = max(largest, float(observed.tracks.diameter.max())), series.facts.gravity
+    if largest > 0.0:
+        diameter = np.linspace(0.0, 1.05 * largest, 100)
+        ax.plot(1e3 * diameter, RISE * np.sqrt(gravity * diameter), color="0.35", label="single bubble")
+    return dress(ax, "bubble diameter D [mm]", "rise velocity [m/s]")
+
+
+def fluidization_curves(runs: Runs) -> Axes:
+    """Draw pressure drop over weight against gas velocity on the way down, the packed bed's curve, and U_mf."""
+    ax = new_axes()
+    for kind, (_, observed) in runs.items():
+        if observed.curve is None:
+            continue
+        branch, style = observed.curve.falling, STYLES[kind]
+        ax.plot(branch.U_0, branch.drop, color=style["color"], linewidth=0.6, alpha=0.6, zorder=2)
+        velocity = np.linspace(0.0, branch.U_mf, 100)
+        label = f"{model_name(kind)}: U_mf = {branch.U_mf:.3f} ± {branch.uncertainty:.2g} m/s"
+        ax.plot(velocity, branch.packed_drop(velocity), label=label, **line_style(kind))
+        ax.plot([branch.U_mf], [1.0], style["marker"], color=style["color"], markerfacecolor="none")
+    ax.axhline(1.0, color="0.35", linewidth=0.8, zorder=1)
+    return dress(ax, "superficial gas velocity [m/s]", "pressure drop over weight per area [–]")
+
+
+def _field(ax: Axes, facts: BedFacts, values: Array, **colours: Any) -> Any:
+    factor, unit = si_prefix(facts.size, "m")
+    extent = (0.0, factor * facts.size[0], 0.0, factor * facts.size[2])
+    image = ax.imshow(values, origin="lower", extent=extent, interpolation="nearest", aspect="equal", **colours)
+    ax.set_xlabel(f"x [{unit}]")
+    return image
+
+
+def _colour_bar(figure: Figure, image: Any, axes: list[Axes], name: str) -> None:
+    """Add a colour bar with its name above it: beside it there is the next panel."""
+    bar = figure.colorbar(image, ax=axes, shrink=0.75, pad=0.06, aspect=25)
+    bar.ax.locator_params(axis="y", nbins=6)
+    bar.ax.tick_params(labelsize=9)
+    bar.ax.set_title(name, fontsize=9, pad=8, loc="left")
+
+
+def _depth_mean(observed: BedObservations) -> Array:
+    if observed.eps_g is None:
+        raise InputError("no mean void fraction: expected a run with gas and recorded frames")
+    mean: Array = observed.eps_g.mean(axis=1)
+    return mean

@@ -1,60 +1,70 @@
-"""The rows of a comparison as the report's table shows them: numbers in short lines, doubts as numbered notes below."""
+"""The rows of a comparison as a table: value ± width of both runs, their difference, and what is to know about each."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from kncal.core.units import plus_minus, quantity, si_prefix
+from kncal.core.units import percent, plus_minus, quantity, si_prefix
+from kncal.observe.estimate import Estimate
 from kncal.observe.row import Row, allowed, difference_text
+from kncal.report.page import Table, marks
 
 _SIDES = ("linear", "hertz")
+_SEEN = {True: "yes", False: "no", None: "not known"}
+_HEADINGS = ("metric", "linear", "Hertz", "difference", "exact difference", "difference seen", "allowed", "")
 
 
 @dataclass(frozen=True)
-class Line:
-    """A row of the table; ``notes``: numbers, from 1, of the notes below it that belong to the row."""
-
-    name: str
-    notes: tuple[int, ...]
-    text: str
-    linear: str
-    hertz: str
-    difference: str
-    seen: str
-    allowed: str
-    verdict: str
-    remark: str
-
-
-@dataclass(frozen=True)
-class Lines:
-    """The table of quantities.
+class Rows:
+    """The table of a comparison.
 
     Attributes
     ----------
-    rows : what was seen in a run, or was to be judged
-    notes : why some of it is not to be relied upon, each once
-    unseen : (reason, names) of what neither run shows and nobody asked for
+    table : what was seen in a run, or was to be judged
+    notes : why some of it is not reliable, each once; the names of the rows carry their numbers
+    unseen : what neither run shows and nobody asked for: "names: reason"
     """
 
-    rows: tuple[Line, ...]
+    table: Table
     notes: tuple[str, ...]
-    unseen: tuple[tuple[str, str], ...]
+    unseen: tuple[str, ...]
 
 
-def lines_of(rows: Sequence[Row]) -> Lines:
-    """Return the table of ``rows``, in their order."""
+def table_of(rows: Sequence[Row]) -> Rows:
+    """Return the table of ``rows``, in their order; a column that is empty in all of them is left out."""
     notes: dict[str, int] = {}
-    shown: list[Line] = []
     unseen: dict[str, list[str]] = {}
-    for r in rows:
-        if not r.seen and r.tolerance is None:
-            unseen.setdefault(r.reason or "not observed", []).append(r.metric)
+    cells, below = [], []
+    for row in rows:
+        if not row.seen and row.tolerance is None:
+            unseen.setdefault(row.reason or "not observed", []).append(row.metric)
             continue
-        numbers = [notes.setdefault(note, len(notes) + 1) for note in split_reason(r.reason)]
-        shown.append(_line(r, tuple(numbers)))
-    return Lines(tuple(shown), tuple(notes), tuple((reason, ", ".join(names)) for reason, names in unseen.items()))
+        doubts = [] if row.difference.reliable else split_reason(row.reason)
+        cells.append(
+            (
+                row.metric + marks(sorted(notes.setdefault(note, len(notes) + 1) for note in doubts)),
+                shown(row.run, row.unit),
+                shown(row.reference, row.unit),
+                difference_text(row),
+                percent(row.exact_difference),
+                "" if row.difference.value is None else _SEEN[row.difference.significant],
+                "" if row.tolerance is None else allowed(row.tolerance),
+                "" if row.verdict == "-" else row.verdict,
+            )
+        )
+        basis = f"difference: {row.basis}" if row.basis and not row.basis.startswith("relative") else ""
+        reason = row.reason if row.difference.reliable else ""
+        below.append("; ".join(filter(None, (row.text, basis, _to_decide(row), reason))))
+    last = len(_HEADINGS) - 1
+    used = [i for i in range(last + 1) if i == last or any(row[i] not in ("", "–") for row in cells)]
+    table = Table(
+        tuple(_HEADINGS[i] for i in used),
+        tuple(tuple(row[i] for i in used) for row in cells),
+        text=(0, *(place for place, i in enumerate(used) if _HEADINGS[i] in ("difference seen", ""))),
+        below=tuple(below),
+    )
+    return Rows(table, tuple(notes), tuple(f"{', '.join(names)}: {reason}" for reason, names in unseen.items()))
 
 
 def split_reason(reason: str) -> list[str]:
@@ -74,24 +84,19 @@ def split_reason(reason: str) -> list[str]:
     ]
 
 
-def _line(r: Row, notes: tuple[int, ...]) -> Line:
-    remarks = [] if not r.basis or r.basis.startswith("relative") else [f"difference: {r.basis}"]
-    if r.verdict == "undecided":
-        needed = "out of reach" if (end := r.difference.needed_end) is None else f"until about {end:.3g} s"
-        remarks.append(f"to decide, run {needed}")
-    seen = {True: "yes", False: "none seen", None: "not known"}[r.difference.significant]
-    return Line(
-        name=r.metric,
-        notes=notes,
-        text=r.text,
-        linear=with_uncertainty(r.run.value, r.run.width, r.unit),
-        hertz=with_uncertainty(r.reference.value, r.reference.width, r.unit),
-        difference=difference_text(r),
-        seen="" if r.difference.value is None else seen,
-        allowed="" if r.tolerance is None else allowed(r.tolerance),
-        verdict="" if r.verdict == "-" else r.verdict,
-        remark="; ".join(remarks),
-    )
+def _to_decide(row: Row) -> str:
+    """What would decide an undecided row."""
+    if row.verdict != "undecided":
+        return ""
+    if not row.difference.chance:
+        return "to decide, take more steps per contact"
+    end = row.difference.needed_end
+    return "to decide, run " + ("much longer (out of reach)" if end is None else f"until about {end:.3g} s")
+
+
+def shown(found: Estimate, unit: str) -> str:
+    """Return an average ± its uncertainty with one unit: "105.3 ± 1.2 Pa"; other values alone, "–" without one."""
+    return with_uncertainty(found.value, found.width if found.chance else None, unit)
 
 
 def with_uncertainty(value: float | None, uncertainty: float | None, unit: str) -> str:
@@ -104,8 +109,3 @@ def with_uncertainty(value: float | None, uncertainty: float | None, unit: str) 
     if "²" in unit:  # a prefix before a power would be read as part of it
         factor, label = 1.0, unit
     return f"{plus_minus(factor * value, factor * uncertainty)} {label}".rstrip()
-
-
-def names_of(lines: Iterable[Line]) -> set[str]:
-    """Return the names of the quantities in the table."""
-    return {line.name for line in lines}

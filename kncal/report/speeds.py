@@ -1,91 +1,83 @@
-"""The impact speeds of two bed runs as their report shows them, beside those that the contacts are calibrated at."""
+"""Impact speeds: their picture, and what a report says of them beside the speed that the contacts are calibrated at."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+import numpy as np
+
+from kncal.core.errors import InputError
 from kncal.core.units import quantity
 from kncal.observe.averages import window_start
-from kncal.observe.compare import Comparison
-from kncal.observe.impact_speeds import (
-    KINDS_OF_IMPACTS,
-    STATISTICS,
-    ImpactSpeeds,
-    bed_impact_speeds,
-)
+from kncal.observe.impact_speeds import KINDS_OF_IMPACTS, STATISTICS, ImpactSpeeds, bed_impact_speeds
 from kncal.observe.run_data import BedRunData
 from kncal.physics.statistics import Interval
-from kncal.report.figures import Figure
-from kncal.report.page import Table
-from kncal.report.plots import plot_impact_speeds
+from kncal.report.page import Section, Table
+from kncal.report.style import Album, dress, model_name, new_axes
 from kncal.scene.bed_scene import PARTICLES
-from kncal.scene.model import BedModel
 
-_PAIRS = {"particles": "two particles", "walls": "particle and wall"}
-_RUNS = {"linear": "linear", "hertz": "Hertz"}
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
-
-@dataclass(frozen=True, kw_only=True)
-class SpeedsSection:
-    """What the page says of impact speeds.
-
-    Attributes
-    ----------
-    sentences : that nothing was recorded, or where v_0 is not the speed at which energy arrives
-    table : one row per run and pair
-    notes : why an interval is not to be relied upon
-    figures : a distribution per run
-    """
-
-    sentences: tuple[str, ...]
-    table: Table
-    notes: tuple[str, ...] = ()
-    figures: tuple[Figure, ...] = ()
+#: Kind of impacts -> who meets.
+WHO = {"particles": "two particles", "walls": "particle and wall", "all": "all contacts"}
+_COLOURS = {"particles": "#0072B2", "walls": "#D55E00", "all": "#0072B2"}
+_REMARK = (
+    "Speeds of new contacts, after the start-up, with 95 % intervals. Energy-weighted: Σv³/Σv², the speed at which the"
+    " impacts carry their energy. 99 %: the percentile; the largest overlaps come from these impacts. v_0: the speed"
+    " that the contact is calibrated at, and where it lies relative to the energy-weighted interval."
+)
 
 
-def speeds_section(comparison: Comparison[BedRunData], folder: Path) -> SpeedsSection | None:
-    """Return the section, and draw its pictures into ``folder``; None where no particles can meet."""
+def speeds_section(runs: tuple[BedRunData, ...], album: Album) -> Section:
+    """Return the section on the impact speeds of ``runs``, its pictures in ``album``; empty where nothing can meet."""
     sentences: list[str] = []
     rows: list[tuple[str, ...]] = []
     notes: dict[str, None] = {}
-    figures: list[Figure] = []
-    headings = ("run", "contact of", "impacts", "mean", "energy-weighted", "99 %", "v_0", "")
-    for data in (comparison.run, comparison.reference):
-        model, kind = data.model, data.model.kind
-        if not model.contacts:
+    first = len(album.figures)
+    for data in runs:
+        name = model_name(data.model.kind)
+        if not data.model.contacts:
             continue
         if not data.series.facts.impact_edges:
             sentences.append(
-                f"{_RUNS[kind]}: impact speeds are not recorded in this run, which an earlier kncal made; "
-                "the same command with --rerun records them."
+                f"{name}: impact speeds are not recorded in this run, which an earlier kncal made;"
+                " the same command with --rerun records them."
             )
             continue
-        begin, _, doubt = window_start(data.series, model.scene.run.discard)
+        begin, _, doubt = window_start(data.series, data.model.scene.run.discard)
         speeds = bed_impact_speeds(data.series, begin, doubt)
-        for name in KINDS_OF_IMPACTS:
-            rows.append(_row(kind, speeds[name], _v_0(model, name)))
-            sentences += _beside(kind, speeds[name], _v_0(model, name))
-            notes |= dict.fromkeys(_doubts(kind, speeds[name]))
+        for kind in KINDS_OF_IMPACTS:
+            v_0 = data.model.between(PARTICLES, kind).v_0
+            rows.append(_row(name, speeds[kind], v_0))
+            sentences += _beside(name, speeds[kind], v_0)
+            notes |= dict.fromkeys(_doubts(name, speeds[kind]))
         if any(found.count for found in speeds.values()):
-            figures.append(_figure(kind, speeds, folder))
-    if not rows and not sentences:
-        return None
-    return SpeedsSection(
-        sentences=tuple(sentences), table=Table(headings, tuple(rows)), notes=tuple(notes), figures=tuple(figures)
+            album.add(
+                f"impact_speeds_{data.model.kind}",
+                impact_speeds(speeds, f"{name} run"),
+                f"{name}: share of impacts per decade of speed, with the three speeds of each pair.",
+                f"Distribution of impact speeds, {name} run.",
+            )
+    figures = tuple(album.figures[first:])
+    del album.figures[first:]
+    headings = ("run", "contact of", "impacts", "mean", "energy-weighted", "99 %", "v_0", "v_0 is")
+    return Section(
+        title="Impact speeds",
+        text=tuple(sentences),
+        table=Table(headings, tuple(rows), text=(0, 1, 7)),
+        remark=_REMARK,
+        notes=tuple(notes),
+        figures=figures,
     )
 
 
-def _v_0(model: BedModel, name: str) -> float | None:
-    """Return the speed that the contact of two particles, or of one and a wall, is calibrated at [m/s]."""
-    return model.between(PARTICLES, name).v_0
-
-
-def _row(kind: str, speeds: ImpactSpeeds, v_0: float | None) -> tuple[str, ...]:
-    values = [_shown(speeds.speeds.get(name)) for name in STATISTICS]
+def _row(name: str, speeds: ImpactSpeeds, v_0: float | None) -> tuple[str, ...]:
+    values = [_shown(speeds.speeds.get(each)) for each in STATISTICS]
     given = "–" if v_0 is None else quantity(v_0, "m/s", 3)
-    return (_RUNS[kind], _PAIRS[speeds.kind], f"{speeds.count:,}", *values, given, _place(speeds, v_0))
+    return (name, WHO[speeds.kind], f"{speeds.count:,}", *values, given, _place(speeds, v_0))
 
 
 def _place(speeds: ImpactSpeeds, v_0: float | None) -> str:
@@ -96,36 +88,69 @@ def _place(speeds: ImpactSpeeds, v_0: float | None) -> str:
     return "below" if v_0 < found.low else "above" if v_0 > found.high else "within"
 
 
-def _beside(kind: str, speeds: ImpactSpeeds, v_0: float | None) -> Iterator[str]:
+def _beside(name: str, speeds: ImpactSpeeds, v_0: float | None) -> Iterator[str]:
     place, found = _place(speeds, v_0), speeds.speeds.get("energy_weighted")
     if place in ("below", "above") and found is not None:
         yield (
-            f"{_RUNS[kind]}, {_PAIRS[speeds.kind]}: v_0 = {quantity(v_0, 'm/s', 3)} is {place} the energy-weighted"
-            f" mean, {_shown(found)}{', not to be relied upon' if found.why else ''}; kncal kn --from-run"
-            " says which k_n belongs to it."
+            f"{name}, {WHO[speeds.kind]}: v_0 = {quantity(v_0, 'm/s', 3)} is {place} the energy-weighted mean,"
+            f" {_shown(found)}{' (not reliable)' if found.why else ''}; kncal kn --from-run gives the k_n that belongs"
+            " to it."
         )
 
 
-def _doubts(kind: str, speeds: ImpactSpeeds) -> Iterator[str]:
-    for name, found in speeds.speeds.items():
+def _doubts(name: str, speeds: ImpactSpeeds) -> Iterator[str]:
+    for statistic, found in speeds.speeds.items():
         if found.why:
-            yield f"{_RUNS[kind]}, {_PAIRS[speeds.kind]}, {STATISTICS[name]}: {found.why}"
+            yield f"{name}, {WHO[speeds.kind]}, {STATISTICS[statistic]}: {found.why}"
 
 
 def _shown(found: Interval | None) -> str:
-    if found is None:
-        return "–"
-    return f"{found.value:.3g} ({found.low:.3g} to {found.high:.3g}) m/s"
+    return "–" if found is None else f"{found.value:.3g} ({found.low:.3g} to {found.high:.3g}) m/s"
 
 
-def _figure(kind: str, speeds: Mapping[str, ImpactSpeeds], folder: Path) -> Figure:
-    name = f"impact_speeds_{kind}"
-    for suffix in (".png", ".svg"):
-        plot_impact_speeds(speeds, folder / f"{name}{suffix}", title=f"{_RUNS[kind]} run")
-    return Figure(
-        name=name,
-        png=f"{name}.png",
-        svg=f"{name}.svg",
-        caption=f"{_RUNS[kind]}: share of impacts per decade of speed, with the three speeds of each pair.",
-        alt=f"Distribution of impact speeds, {_RUNS[kind]} run.",
-    )
+def impact_speeds(speeds: Mapping[str, ImpactSpeeds], title: str = "") -> Axes:
+    """Draw the shares of impacts per decade of speed, with the three speeds.
+
+    A bin that begins at zero has no place on the logarithmic axis and is left out.
+
+    Raises
+    ------
+    InputError
+        If there was no impact.
+    """
+    shown = [found for found in speeds.values() if found.count]
+    if not shown:
+        raise InputError("impact speeds: there was no impact to draw")
+    ax = new_axes(5.6, 4.8)
+    dashes = dict(zip(STATISTICS, (":", "-", "--"), strict=True))
+    for found in shown:
+        colour = _COLOURS[found.kind]
+        edges, counts = found.edges[1:], found.counts[1:]
+        used = np.flatnonzero(counts)
+        part = slice(max(int(used[0]) - 1, 0), int(used[-1]) + 2) if len(used) else slice(0, 1)
+        density = counts[part] / found.count / np.diff(np.log10(edges))[part]
+        label = f"{WHO[found.kind]}, {found.count} impacts"
+        ax.stairs(density, edges[part.start : part.start + len(density) + 1], color=colour, label=label, fill=False)
+        for name, estimate in found.speeds.items():
+            told = f"{STATISTICS[name]} {estimate.value:.3g} m/s"
+            ax.axvline(estimate.value, color=colour, linestyle=dashes[name], linewidth=1.2, label=told)
+    ax.set_xscale("log")
+    ax.set_ylim(bottom=0.0)
+    dress(ax, "impact speed v_0 [m/s]", "share of impacts per decade [–]", columns=len(shown))
+    ax.set_title(title, fontsize=10, pad=6.0 + 14.0 * len(ax.get_legend_handles_labels()[0]) / len(shown))
+    return ax
+
+
+def plot_impact_speeds(speeds: Mapping[str, ImpactSpeeds], path: Path, title: str = "") -> None:
+    """Write `impact_speeds` as a picture (.png or .svg).
+
+    Raises
+    ------
+    InputError
+        If there was no impact, or the file is not of a kind that is drawn.
+    """
+    if path.suffix not in (".png", ".svg"):
+        raise InputError(f"{path}: expected a picture name that ends in .png or .svg")
+    figure = impact_speeds(speeds, title).get_figure(root=True)
+    if figure is not None:
+        figure.savefig(path, dpi=130, metadata={"Software": None} if path.suffix == ".png" else {"Date": None})

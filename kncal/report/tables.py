@@ -36,13 +36,7 @@ def export_tables(data: RunData) -> tuple[Path, Path]:
     write_csv(contacts, data.observations.to_frame(), _BODIES | _CONTACT_UNITS)
     frames = [
         pd.DataFrame(
-            {
-                "body_1": pair[0],
-                "body_2": pair[1],
-                "t": series.t,
-                "delta": series.delta,
-                "delta_dot": series.delta_dot,
-            }
+            {"body_1": pair[0], "body_2": pair[1], "t": series.t, "delta": series.delta, "delta_dot": series.delta_dot}
         )
         for pair, series in data.observations.series.items()
     ]

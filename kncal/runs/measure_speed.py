@@ -16,7 +16,7 @@ from kncal.core.files import write_json
 from kncal.core.units import quantity
 from kncal.engines.base import Tell
 from kncal.observe.impact_speeds import STATISTICS, ImpactSpeeds, StiffnessAt
-from kncal.report.plots import plot_impact_speeds
+from kncal.report.speeds import plot_impact_speeds
 from kncal.runs.folder import MEASURING, refuse_foreign
 from kncal.runs.impact_speeds import RunSpeeds, run_speeds
 from kncal.runs.solving import engine_for, guessed_speed, trial

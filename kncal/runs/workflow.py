@@ -366,34 +366,15 @@ def export(data: RunData | BedRunData, *, paraview: bool = False) -> None:
 
 def report_on(comparison: Comparison[Any], folder: Path) -> Path:
     """Write the report of a comparison, with every table that its scene allows; returns the page's path."""
+    from kncal.report.comparison import write_report
+    from kncal.report.overview import context_of
+
     runs = comparison.runs
     models: dict[str, Any] = {r.model.kind: r.model for r in runs}
-    provenance = {r.model.kind: read_manifest(r.result.folder) for r in runs}
-    if isinstance(comparison.run, BedRunData):
-        from kncal.report.bed_page import write_bed_report
-
-        return write_bed_report(comparison, folder, warnings=list(warnings_of(models)), provenance=provenance)
-    import pandas as pd
-
-    from kncal.report.overview import error_table, kn_curves, method_table
-    from kncal.report.page import write_report
-    from kncal.scene.needs import decide
-    from kncal.scene.plan import pair_choice, pair_of
-
-    scene = comparison.reference.model.scene
-    a, b = scene.body_pairs()[0]
-    e_n, _, v_0, _ = pair_choice(scene, a, b)
-    table, curves = pd.DataFrame(), {}
-    if v_0 is not None:
-        law, end, pair = scene.contact.law, scene.contact.end, pair_of(a, b)
-        table = method_table(pair, v_0=v_0, e_n=e_n, law=law, end=end, options=scene.contact.method_options)
-        curves = kn_curves(pair, v_0=v_0, e_n=e_n, law=law, end=end)
     return write_report(
         comparison,
         folder,
-        calibration_table=table,
-        kn_curves=curves,
-        error_table=error_table(models),
-        needs_table=decide(scene).to_frame(),
-        provenance=provenance,
+        context=None if isinstance(comparison.run, BedRunData) else context_of(models),
+        warnings=list(warnings_of(models)),
+        provenance={r.model.kind: read_manifest(r.result.folder) for r in runs},
     )

@@ -20,7 +20,7 @@ from kncal.observe.impact_speeds import (
 )
 from kncal.physics.material import Material, pair
 from kncal.record.series import BedSeries
-from kncal.report.plots import plot_impact_speeds
+from kncal.report.speeds import plot_impact_speeds
 from kncal.scene.contact_event import ContactEvent
 from kncal.scene.pair_contact import PairNumbers
 from kncal.scene.scene import ContactChoice

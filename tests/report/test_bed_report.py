@@ -15,7 +15,8 @@ from compared_beds import MEANS, SCENE, run_data
 
 from kncal.core.units import plus_minus
 from kncal.observe.compare import Comparison, compare
-from kncal.report.bed_page import with_uncertainty, write_bed_report
+from kncal.report.comparison import write_report
+from kncal.report.rows import with_uncertainty
 
 HOSTILE = '<img src=x onerror="alert(1)"></script><script>alert(2)</script>'
 CASE = replace(SCENE, tolerances={"overlap_mean": 0.05, "z_mean": 0.001, "pressure_drop": 0.5})
@@ -28,7 +29,7 @@ def compared(scene=CASE, **options) -> Comparison:
 
 
 def write(comparison: Comparison, folder: Path, text: str = "kncal run") -> Path:
-    return write_bed_report(
+    return write_report(
         comparison,
         folder,
         warnings=[f"cell-size: {text}"],
@@ -93,7 +94,7 @@ def test_every_row_is_on_the_page_with_its_verdict(comparison, report):
         assert row.metric in html
         if row.reason and not row.seen:
             continue  # listed by the reason, below the table
-        line = re.search(rf"<tr class=\"numbers\"><td><strong>{row.metric}</strong>.*?</tr>", html)
+        line = re.search(rf"<tr class=\"over\"><td>{row.metric}[\u202f<].*?</tr>", html)
         assert line, row.metric
         verdict = re.findall(r">([^<>]*)</td></tr>", line[0])[0]
         assert verdict == ("" if row.verdict == "-" else row.verdict)

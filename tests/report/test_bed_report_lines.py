@@ -11,8 +11,9 @@ import pytest
 from compared_beds import SCENE, run_data
 
 from kncal.observe.compare import Comparison, compare
-from kncal.report.bed_page import write_bed_report
-from kncal.report.rows import lines_of, split_reason
+from kncal.report.comparison import write_report
+from kncal.report.page import marks
+from kncal.report.rows import split_reason, table_of
 
 
 @pytest.mark.parametrize(
@@ -37,9 +38,9 @@ def short() -> Comparison:
 
 
 def test_every_row_is_in_the_table_or_named_below_it(short):
-    lines = lines_of(short.rows)
-    unseen = {name for _, names in lines.unseen for name in names.split(", ")}
-    shown = [line.name for line in lines.rows]
+    rows = table_of(short.rows)
+    unseen = {name for line in rows.unseen for name in line.partition(":")[0].split(", ")}
+    shown = [cells[0].split("\u202f")[0] for cells in rows.table.rows]
     assert len(shown) == len(set(shown))
     assert set(shown) | unseen == {row.metric for row in short.rows}
     assert not set(shown) & unseen
@@ -49,16 +50,19 @@ def test_every_row_is_in_the_table_or_named_below_it(short):
 
 
 def test_notes_are_numbered_once_and_say_what_the_rows_say(short):
-    lines = lines_of(short.rows)
-    assert len(set(lines.notes)) == len(lines.notes) > 0
-    assert {number for line in lines.rows for number in line.notes} == set(range(1, len(lines.notes) + 1))
-    reasons = {row.metric: row.reason for row in short.rows}
-    for line in lines.rows:
-        assert [lines.notes[number - 1] for number in line.notes] == split_reason(reasons[line.name])
+    rows = table_of(short.rows)
+    assert len(set(rows.notes)) == len(rows.notes) > 0
+    reasons = {r.metric: [] if r.difference.reliable else split_reason(r.reason) for r in short.rows}
+    numbers = {note: number for number, note in enumerate(rows.notes, 1)}
+    for name, *_ in rows.table.rows:
+        metric = name.split("\u202f")[0]
+        assert name == metric + marks(sorted(numbers[note] for note in reasons[metric]))
+    used = {note for name, *_ in rows.table.rows for note in reasons[name.split("\u202f")[0]]}
+    assert used == set(rows.notes)
 
 
 def report(comparison: Comparison, folder: Path) -> str:
-    return write_bed_report(comparison, folder, provenance={}).read_text(encoding="utf-8")
+    return write_report(comparison, folder, provenance={}).read_text(encoding="utf-8")
 
 
 def without_dem(scene, **arrays):

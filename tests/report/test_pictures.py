@@ -13,8 +13,7 @@ from bed_runs import bubbling, facts, series
 from kncal.core.errors import InputError
 from kncal.observe.averages import observe_bed
 from kncal.record.paraview import write_paraview
-from kncal.report import bed_plots as pictures
-from kncal.report import plots
+from kncal.report import plots, style
 from kncal.report.animation import animate, snapshot
 
 
@@ -37,10 +36,10 @@ def legend(ax) -> str:
     return " | ".join(text.get_text() for text in ax.get_legend().get_texts())
 
 
-@pytest.mark.parametrize("name", pictures.SIGNALS)
+@pytest.mark.parametrize("name", plots.SIGNALS)
 def test_signals_show_their_averages(runs, name):
-    ax = pictures.signal_time(runs, name)
-    average = runs["hertz"][1].averages[pictures.SIGNALS[name][2]]
+    ax = plots.signal_time(runs, name)
+    average = runs["hertz"][1].averages[plots.SIGNALS[name][2]]
     factor = ax.get_lines()[2].get_ydata()[0] / getattr(runs["hertz"][0], name)[0]
     mean = next(line for line in ax.get_lines() if line.get_label().startswith("Hertz"))
     np.testing.assert_allclose(mean.get_ydata(), factor * average.mean)
@@ -50,11 +49,11 @@ def test_signals_show_their_averages(runs, name):
 
 def test_unknown_signal_is_refused(runs):
     with pytest.raises(InputError, match="z_mean"):
-        pictures.signal_time(runs, "z_meen")
+        plots.signal_time(runs, "z_meen")
 
 
 def test_voidage_maps_show_both_and_their_difference(runs):
-    figure = pictures.voidage_maps(runs)
+    figure = plots.voidage_maps(runs)
     images = [ax.get_images()[0] for ax in figure.axes if ax.get_images() and ax.get_title()]
     assert [image.axes.get_title() for image in images] == ["linear", "Hertz", "linear – Hertz"]
     linear, hertz = (observed.eps_g[:, 0, :] for _, observed in runs.values())
@@ -64,11 +63,11 @@ def test_voidage_maps_show_both_and_their_difference(runs):
     assert images[0].origin == "lower"
     other = bubbling(facts(cells=(12, 1, 24)), 1, couplings=300)
     with pytest.raises(InputError, match="same cells"):
-        pictures.voidage_maps({"linear": runs["linear"], "hertz": (other, observe_bed(other, discard=0.0))})
+        plots.voidage_maps({"linear": runs["linear"], "hertz": (other, observe_bed(other, discard=0.0))})
 
 
 def test_overlap_histogram_has_the_area_of_what_it_shows(runs):
-    ax = pictures.overlap_histogram(runs)
+    ax = plots.overlap_histogram(runs)
     density, edges, _ = ax.patches[0].get_data()
     overlaps = runs["linear"][1].overlaps
     drawn = 1.0 - overlaps.histogram[0] / overlaps.counted  # the bin that begins at zero has no place
@@ -78,16 +77,16 @@ def test_overlap_histogram_has_the_area_of_what_it_shows(runs):
 
 def test_spectrum_names_the_frequency(runs):
     observed = runs["linear"][1]
-    ax = pictures.pressure_spectra(runs)
+    ax = plots.pressure_spectra(runs)
     assert f"linear: {observed.spectrum.dominant:.3g}" in legend(ax)
     np.testing.assert_array_equal(ax.get_lines()[0].get_ydata(), observed.spectrum.density[1:])
 
 
 def test_profiles_and_bubbles(runs):
-    ax = pictures.velocity_profiles(runs, 0.03)
+    ax = plots.velocity_profiles(runs, 0.03)
     x, v_z = ax.get_lines()[0].get_data()
     assert np.mean(v_z[np.abs(x - 30.0) < 15.0]) == pytest.approx(0.1, abs=0.02)
-    ax = pictures.bubble_rise(runs)
+    ax = plots.bubble_rise(runs)
     assert np.median(ax.get_lines()[0].get_ydata()) == pytest.approx(0.2, rel=0.05)
     assert "single bubble" in legend(ax)
 
@@ -95,10 +94,10 @@ def test_profiles_and_bubbles(runs):
 def test_pictures_without_gas_are_empty_not_broken(tmp_path):
     dry = series(facts(gas_density=0.0), 300, floor=np.ones(300))
     runs = {"linear": (dry, observe_bed(dry))}
-    for ax in (pictures.signal_time(runs, "p_in"), pictures.overlap_histogram(runs), pictures.pressure_spectra(runs)):
-        assert plots.save(ax, tmp_path, "empty")[0].stat().st_size > 0
+    for ax in (plots.signal_time(runs, "p_in"), plots.overlap_histogram(runs), plots.pressure_spectra(runs)):
+        assert style.save(ax, tmp_path, "empty")[0].stat().st_size > 0
     with pytest.raises(InputError, match="void fraction"):
-        pictures.voidage_maps(runs)
+        plots.voidage_maps(runs)
 
 
 def test_gif_plays_every_frame(runs, tmp_path):

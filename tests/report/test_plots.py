@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from kncal.core.errors import InputError
 from kncal.core.units import percent, quantity, si_prefix
-from kncal.report import plots
+from kncal.report import plots, style
 
 PREFIXES = {"p": 1e-12, "n": 1e-9, "µ": 1e-6, "m": 1e-3, "": 1.0, "k": 1e3, "M": 1e6, "G": 1e9, "T": 1e12}
 
@@ -110,7 +110,7 @@ def test_the_steps_that_were_run_are_marked():
 
 
 def test_drawing_on_given_axes_keeps_them():
-    ax = plots.new_axes()
+    ax = style.new_axes()
     t, delta, force = half_sine(1e4)
     assert plots.overlap_time({"linear": (t, delta)}, {}, ax) is ax
     assert plots.force_loops({"linear": (delta, force)}, {}, ax) is ax
@@ -121,7 +121,7 @@ def test_the_same_data_give_the_same_files(tmp_path):
     files = []
     for name in ("first", "second"):
         (tmp_path / name).mkdir()
-        files.append(plots.save(plots.overlap_time({"linear": (t, delta)}, {}), tmp_path / name, "picture"))
+        files.append(style.save(plots.overlap_time({"linear": (t, delta)}, {}), tmp_path / name, "picture"))
     (png, svg), (png_2, svg_2) = files
     assert png.read_bytes().startswith(b"\x89PNG") and png.read_bytes() == png_2.read_bytes()
     assert b"<svg" in svg.read_bytes() and svg.read_bytes() == svg_2.read_bytes()

@@ -18,8 +18,8 @@ from kncal.observe.compare import Comparison, compare
 from kncal.observe.contacts import observe
 from kncal.observe.run_data import RunData
 from kncal.physics.calibration import calibrate
-from kncal.report.overview import error_table, kn_curves, method_table
-from kncal.report.page import write_report
+from kncal.report.comparison import write_report
+from kncal.report.overview import Context, error_table, kn_curves, method_table
 from kncal.scene.exact import solve
 from kncal.scene.needs import decide
 from kncal.scene.plan import pair_of
@@ -58,10 +58,12 @@ def write(comparison: Comparison, folder: Path, text: str = "liggghts -in in.lig
     return write_report(
         comparison,
         folder,
-        calibration_table=method_table(pair, v_0=1.0, e_n=0.9),
-        kn_curves=kn_curves(pair, v_0=1.0, e_n=0.9),
-        error_table=error_table({"linear": comparison.run.model, "hertz": comparison.reference.model}),
-        needs_table=decide(scene).to_frame(),
+        context=Context(
+            methods=method_table(pair, v_0=1.0, e_n=0.9),
+            kn_curves=kn_curves(pair, v_0=1.0, e_n=0.9),
+            errors=error_table({"linear": comparison.run.model, "hertz": comparison.reference.model}),
+            needs=decide(scene).to_frame(),
+        ),
         provenance={"linear": {"command": ["stdbuf", text], "files_sha256": {text: "ab" * 32}}, text: {"dt": 1e-6}},
     )
 
@@ -213,18 +215,7 @@ def test_writing_again_replaces_an_old_page_by_the_same_one(comparison, report, 
 
 def test_a_bare_comparison_still_has_a_report(tmp_path):
     bare = compare(run_data("linear", {"e_n": 0.5}), run_data("hertz", {"e_n": 0.9}), {"e_n": 0.1})
-    nothing = pd.DataFrame()
-    page = Page(
-        write_report(
-            bare,
-            tmp_path,
-            calibration_table=nothing,
-            kn_curves={},
-            error_table=nothing,
-            needs_table=nothing,
-            provenance={},
-        )
-    )
+    page = Page(write_report(bare, tmp_path, provenance={}))
     assert "Outside tolerance" in page.text
     assert [picture["src"] for picture in page.all("img")] == ["motion.svg"]
     assert sorted(p.name for p in tmp_path.glob("*.csv")) == ["metrics.csv"]

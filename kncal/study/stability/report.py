@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from kncal.core.files import write_csv, write_json, write_text
-from kncal.core.scratch import drawn_aside
+from kncal.core.files import write_csv, write_json
 from kncal.core.units import percent, quantity
-from kncal.report import plots
-from kncal.report.figures import Figure
-from kncal.report.page import Table, page_template
+from kncal.report.page import Figure, Page, Section, Table, report_folder, verdict, write_page
+from kncal.report.style import STYLES, Album, bare, dress, model_name, new_axes
 from kncal.study.stability.edges import RESOLUTION
 from kncal.study.stability.maps import Cell
 from kncal.study.stability.outcome import OUTCOMES
@@ -55,28 +53,42 @@ def write_stability(found: Stability, folder: Path) -> Path:
     write_json(folder / "stability.json", found.to_dict())
     write_csv(folder / "stability.csv", found.edge_frame(), EDGE_UNITS)
     write_csv(folder / "map.csv", found.cell_frame(), CELL_UNITS)
-    report = folder / "report"
-    report.mkdir(exist_ok=True)
-    # drawn aside and moved, so that each is whole
-    with drawn_aside(report) as drawn:
+    with report_folder(folder / "report") as drawn:
         figures = _figures(found, drawn)
-    page = report / "index.html"
-    write_text(
-        page,
-        page_template("stability.html.j2").render(
-            case=found.given.name,
-            v_0=quantity(found.given.v_0, "m/s"),
-            engines=" and ".join(found.engines),
-            safe="UNSAFE" not in found.sentences()[0],
-            sentences=found.sentences(),
-            notes=found.given.notes,
-            edges=edge_table(found),
-            accuracy=accuracy_table(found),
-            bed=bed_table(found),
-            figures=figures,
+    given, sentences = found.given, found.sentences()
+    page = Page(
+        case=given.name,
+        title=f"{given.name}: the edge of stability",
+        subject="where it stops to be stable",
+        about=f"Probes made from the case's materials and contact, at v_0 = {quantity(given.v_0, 'm/s')};"
+        f" run by {' and '.join(found.engines)}.",
+        verdict=verdict("outside" if "UNSAFE" in sentences[0] else "within", sentences),
+        sections=(
+            Section(title="Edges in the time step", table=edge_table(found), remark=_EDGES),
+            Section(title="Steps for a correct restitution", table=accuracy_table(found), remark=_ACCURACY),
+            Section(title="Edges of the coupled algorithm", table=bed_table(found), remark=_COUPLED),
+            Section(title="Maps", figures=figures),
+            Section(title="Left out", points=tuple(given.notes), folded=True),
         ),
+        files=("../stability.json", "../stability.csv", "../map.csv"),
     )
-    return page
+    return write_page(page, folder / "report")
+
+
+_EDGES = (
+    "Probes at rest under load, nudged: above the edge the nudge grows. Advised: the limit that kncal gives,"
+    " ω dt = 2 (√(1 + ζ²) − ζ) with ω and ζ times √z for z contacts at once. Off eigenvalues: edge against the largest"
+    " stable step of this arrangement, from the eigenvalues of one step. Other engine: its edge against this one."
+    " Exact: within half a per cent, where bisection ends. The number in the name of a pair is its size ratio."
+)
+_ACCURACY = (
+    "Impacts on a wall, first touch at several moments within a step. N needed: the steps per contact from which on e_n"
+    " is never further off. N predicted: by the iteration itself, over many such moments."
+)
+_COUPLED = (
+    "Short runs of a reduced bed (fewer particles in a smaller column, the same cells and steps), beyond the limits on"
+    " purpose."
+)
 
 
 def edge_table(found: Stability) -> Table:
@@ -103,10 +115,10 @@ def edge_table(found: Stability) -> Table:
             )
         )
     headings = (
-        "probe", "model", "e_n", "contacts", "edge at v_0", "by", "other engine", "advised limit", "advice is",
+        "probe", "model", "e_n", "contacts", "edge at v_0", "by", "other engine", "advised", "advice is",
         "off eigenvalues", "beyond",
     )  # fmt: skip
-    return Table(headings, tuple(rows))
+    return Table(headings, tuple(rows), text=(0, 1, 5, 8, 10))
 
 
 def safety(share: float) -> str:
@@ -130,7 +142,8 @@ def accuracy_table(found: Stability) -> Table:
         )
         for a in found.accuracy
     )
-    return Table(("model", "e_n", "error of e_n", "N needed", "N predicted", "dt", "LIGGGHTS agrees"), rows)
+    headings = ("model", "e_n", "error of e_n", "N needed", "N predicted", "dt", "LIGGGHTS agrees")
+    return Table(headings, rows, text=(0, 6))
 
 
 def bed_table(found: Stability) -> Table:
@@ -140,59 +153,46 @@ def bed_table(found: Stability) -> Table:
         for edge in found.bed
         for r in edge.runs
     )
-    return Table(("parameter", "value", "setting", "kncal says", "what happened", "numbers"), rows)
+    headings = ("parameter", "value", "setting", "kncal says", "what happened", "numbers")
+    return Table(headings, rows, text=(0, 3, 4, 5))
 
 
-def _figures(found: Stability, folder: Path) -> list[Figure]:
-    figures = []
+def _figures(found: Stability, folder: Path) -> tuple[Figure, ...]:
+    album = Album(folder)
     if found.edges:
-        png, svg = plots.save(_edge_picture(found), folder, "edges")
-        figures.append(
-            Figure(
-                name="edges",
-                png=png.name,
-                svg=svg.name,
-                caption="Measured edge over the advised limit: above 1 the advice is safe. Against the number of "
-                "contacts at once; linear and Hertz probes lie beside each other.",
-                alt="Measured stability edge over advised limit against number of contacts.",
-            )
+        album.add(
+            "edges",
+            _edge_picture(found),
+            "Measured edge over the advised limit, against the number of contacts at once: above 1 the advice is safe."
+            " Linear and Hertz probes lie beside each other.",
+            "Measured stability edge over advised limit against number of contacts.",
         )
+    compared = " Rings: LIGGGHTS came to the same; red crosses: it did not." if "liggghts" in found.engines else ""
     for name, (_, _, text) in _MAPS.items():
-        cells = [c for c in found.cells if c.map == name]
-        if not cells:
-            continue
-        stem = f"map-{name}"
-        png, svg = plots.save(map_picture(cells), folder, stem)
-        figures.append(
-            Figure(
-                name=stem,
-                png=png.name,
-                svg=svg.name,
-                caption=f"{text} Rings: LIGGGHTS came to the same; red crosses: it did not.",
-                alt=f"Outcome of runs over dt and {name}, linear and Hertz.",
+        if cells := [c for c in found.cells if c.map == name]:
+            album.add(
+                f"map-{name}",
+                map_picture(cells),
+                f"{text}{compared}",
+                f"Outcome of runs over dt and {name}, linear and Hertz.",
             )
-        )
-    return figures
+    return tuple(album.figures)
 
 
 def _edge_picture(found: Stability) -> Axes:
-    ax = plots.new_axes()
+    ax = new_axes()
     for kind, shift in (("linear", 0.96), ("hertz", 1.04)):
         ours = [e for e in found.edges if e.probe.kind == kind]
-        style = plots.STYLES[kind]
+        style = STYLES[kind]
         x = [e.probe.contacts * shift for e in ours]
         y = [e.safe_by(found.engine_of(e)) + 1.0 for e in ours]
-        ax.plot(x, y, style["marker"], color=style["color"], label=kind, markersize=6)
+        ax.plot(x, y, style["marker"], color=style["color"], label=model_name(kind), markersize=6)
     ax.axhline(1.0, color="0.45", linewidth=1.0, linestyle=(0, (2, 2)))
     ax.set_xscale("log")
     ax.set_xticks([1, 2, 4, 6, 8, 12], labels=["1", "2", "4", "6", "8", "12"])
     ax.minorticks_off()
     ax.set_ylim(0.0, None)
-    ax.set_xlabel("contacts at once z [–]")
-    ax.set_ylabel("measured edge / advised limit [–]")
-    ax.grid(True, color="0.88", linewidth=0.7)
-    ax.legend(loc="upper left", frameon=False, fontsize=8.5)
-    return ax
+    return dress(ax, "contacts at once z [–]", "measured edge / advised limit [–]")
 
 
 def map_picture(cells: Sequence[Cell]) -> Axes:
@@ -200,15 +200,15 @@ def map_picture(cells: Sequence[Cell]) -> Axes:
     from matplotlib.figure import Figure as Drawing
 
     kinds = [kind for kind in ("linear", "hertz") if any(c.kind == kind for c in cells)]
-    drawing = Drawing(figsize=(7.4, 0.4 + 2.7 * len(kinds)), layout="constrained")
+    drawing = Drawing(figsize=(5.6, 0.8 + 2.5 * len(kinds)), layout="constrained")
     panels = drawing.subplots(len(kinds), 1, sharex=True, squeeze=False)[:, 0]
     shown: dict[str, Any] = {}
     for kind, ax in zip(kinds, panels, strict=True):
         shown |= _panel(ax, [c for c in cells if c.kind == kind])
-        ax.set_title(kind, loc="left", fontsize=9.5)
+        ax.set_title(model_name(kind), loc="left", fontsize=9.5)
     panels[-1].set_xlabel("impact speed v_0 [m/s]" if cells[0].map == "k_n" else "dt over the limit of one contact [–]")
     order = [name for name in (*MARKS, _SAME, _OTHER) if name in shown]
-    drawing.legend([shown[name] for name in order], order, loc="outside right center", frameon=False, fontsize=8.5)
+    drawing.legend([shown[name] for name in order], order, loc="outside upper left", ncols=3, frameon=False, fontsize=9)
     first: Axes = panels[0]
     return first
 
@@ -240,6 +240,5 @@ def _panel(ax: Axes, cells: Sequence[Cell]) -> dict[str, Any]:
         ax.set_yscale("log")
         ax.yaxis.set_minor_locator(NullLocator())
     ax.set_ylabel(y_label)
-    ax.grid(True, color="0.9", linewidth=0.6)
-    ax.set_axisbelow(True)
+    bare(ax)
     return drawn

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kncal.report.figures import Figure
-from kncal.report.plots import STYLES, new_axes, save
+from kncal.report.page import Figure
+from kncal.report.style import STYLES, Album, bare, dress, line_style, log_axes, model_name, new_axes, shared_legend
 from kncal.study.trade.cost_law import LAW, Law
 from kncal.study.trade.front import Conclusion, cost, worst_ratio
 from kncal.study.trade.trade import ErrorSplit, Trade, TradePoint
@@ -33,43 +33,37 @@ _FLOOR = 1e-6
 
 def draw_trade_figures(trade: Trade, conclusion: Conclusion, laws: Sequence[Law], folder: Path) -> tuple[Figure, ...]:
     """Write every figure that the data allow into ``folder``, as PNG and SVG."""
-    figures = []
+    album = Album(folder)
     fixed, rounds = ("gas and exchange", "parts") if trade.bed else ("the start of the solver", "rounds")
-
-    def add(name: str, ax: Axes | None, caption: str, alt: str) -> None:
-        if ax is not None:
-            png, svg = save(ax, folder, name)
-            figures.append(Figure(name=name, png=png.name, svg=svg.name, caption=caption, alt=alt))
-
-    add(
+    album.add(
         "front",
         front(trade, conclusion),
-        "Each point is one contact at one number of steps per contact; its height is what the worst error over its "
-        "tolerance may be, the thin bar goes down to what was seen. Below the line at 1 all are surely within. Nothing "
-        "beats the points on the grey line.",
+        "Each point is one contact at one number of steps per contact. Its height is the worst error over its "
+        "tolerance, uncertainty included; the thin bar goes down to the error as measured. Below the line at 1 "
+        "a point is surely within. No point is both cheaper and more accurate than those on the grey line.",
         "Largest error over tolerance against cost, with the Pareto front.",
     )
-    add(
+    album.add(
         "split",
         split(trade),
-        "Where the error comes from, each part measured by changing one thing: against the factor of k_n or of the "
-        "modulus (softness), for linear against Hertz (model), and for each number of steps per contact "
-        "(discretisation: one line each). The dashed grey line is the tolerance.",
+        "Where the error comes from: the softness (against the factor of k_n or of the modulus), the model (linear "
+        "against Hertz), and the discretisation (a line for each number of steps per contact). The dashed grey line is "
+        "the tolerance.",
         "Parts of the error against the factor of the stiffness.",
     )
-    add(
+    album.add(
         "law",
         law(laws),
-        "Cost against stiffness at one number of steps per contact: the steps follow k_n^(1/2) (grey); the CPU time "
-        f"does so where the steps outweigh {fixed}. Bars: smallest and largest of the {rounds}.",
+        "Cost against stiffness at one number of steps per contact. The steps follow k_n^(1/2) (grey). The CPU time "
+        f"does so where the steps cost more than {fixed}. Bars: smallest and largest of the {rounds}.",
         "Steps and CPU time against stiffness.",
     )
-    return tuple(figures)
+    return tuple(album.figures)
 
 
 def front(trade: Trade, conclusion: Conclusion) -> Axes | None:
     """Worst error/tolerance against cost, with the front; None without a point."""
-    ax = new_axes(7.2, 4.8)
+    ax = new_axes(5.6, 4.4)
     names = {p.candidate.name: p for p in trade.points if p.completed}
     drawn = False
     for model in ("linear", "hertz"):
@@ -81,39 +75,24 @@ def front(trade: Trade, conclusion: Conclusion) -> Axes | None:
         x = [cost(trade, p) or 0.0 for p in ours]
         y = [max(worst_ratio(p, trade.tolerances), _FLOOR) for p in ours]
         down = [ratio - max(min(_seen(p, trade), ratio), _FLOOR) for p, ratio in zip(ours, y, strict=True)]
-        style = STYLES[model]
-        ax.errorbar(
-            x,
-            y,
-            yerr=np.array([down, np.zeros(len(y))]),
-            fmt=style["marker"],
-            color=style["color"],
-            markersize=4.5,
-            elinewidth=0.7,
-            alpha=0.85,
-            label={"linear": "linear", "hertz": "Hertz"}[model],
-        )
+        bars = np.array([down, np.zeros(len(y))])
+        ax.errorbar(x, y, bars, label=model_name(model), markersize=4.5, elinewidth=0.7, alpha=0.85, **_points(model))
     if not drawn:
         return None
     on = [names[name] for name in conclusion.front]
-    ax.plot(
-        [cost(trade, p) or 0.0 for p in on],
-        [max(worst_ratio(p, trade.tolerances), _FLOOR) for p in on],
-        color="0.6",
-        linewidth=1.2,
-        drawstyle="steps-post",
-        zorder=0,
-        label="front",
-    )
+    x, y = [cost(trade, p) or 0.0 for p in on], [max(worst_ratio(p, trade.tolerances), _FLOOR) for p in on]
+    ax.plot(x, y, color="0.6", linewidth=1.2, drawstyle="steps-post", zorder=0, label="front")
     if conclusion.chosen is not None:
         x_0, y_0 = cost(trade, conclusion.chosen) or 0.0, worst_ratio(conclusion.chosen, trade.tolerances)
         ax.plot([x_0], [max(y_0, _FLOOR)], "o", markersize=13, markerfacecolor="none", color="k", label="chosen")
     ax.axhline(1.0, color="0.3", linewidth=1.0, linestyle=(0, (2, 2)), label="tolerance")
-    _log(ax)
-    ax.set_xlabel("CPU time [s]" if trade.bed else "steps [–]")
-    ax.set_ylabel("(|error| + uncertainty) / tolerance [–]")
-    _dress(ax)
-    return ax
+    log_axes(ax)
+    x_label = "CPU time [s]" if trade.bed else "steps [–]"
+    return dress(ax, x_label, "(|error| + uncertainty) / tolerance [–]", columns=3)
+
+
+def _points(kind: str) -> dict[str, Any]:
+    return {"fmt": STYLES[kind]["marker"], "color": STYLES[kind]["color"]}
 
 
 def _seen(point: TradePoint, trade: Trade) -> float:
@@ -132,23 +111,17 @@ def split(trade: Trade) -> Axes | None:
     models = [m for m in ("linear", "hertz") if any(p.candidate.model == m for p in trade.points)]
     if not metrics or not models:
         return None
-    canvas = Canvas(figsize=(3.4 * len(metrics), 2.9 * len(models) + 0.5), layout="constrained")
-    axes = canvas.subplots(len(models), len(metrics), squeeze=False, sharex=True)
-    for row, model in enumerate(models):
-        for column, metric in enumerate(metrics):
+    canvas = Canvas(figsize=(4.4 * len(models), 2.9 * len(metrics) + 0.6), layout="constrained")
+    axes = canvas.subplots(len(metrics), len(models), squeeze=False, sharex=True)
+    for row, metric in enumerate(metrics):
+        for column, model in enumerate(models):
             ax = axes[row][column]
             _split_panel(ax, trade, model, metric)
-            ax.set_title(f"{metric}, {'linear' if model == 'linear' else 'Hertz'}", fontsize=9.5, loc="left")
-            if row == len(models) - 1:
-                ax.set_xlabel("factor of k_n or of the modulus [–]", fontsize=9)
-        axes[row][0].set_ylabel("|part of the error| [–]", fontsize=9)
-    lines: dict[str, Any] = {}
-    for ax in axes.flat:
-        for line, text in zip(*ax.get_legend_handles_labels(), strict=True):
-            lines.setdefault(text, line)
-    canvas.legend(
-        lines.values(), lines.keys(), loc="outside upper left", ncols=len(metrics) + 1, frameon=False, fontsize=8
-    )
+            ax.set_title(f"{metric}, {model_name(model)}", fontsize=10, loc="left")
+            if row == len(metrics) - 1:
+                ax.set_xlabel("factor of k_n or of the modulus [–]")
+        axes[row][0].set_ylabel("|part of the error| [–]")
+    shared_legend(axes.flat, columns=2 * len(models))
     first: Axes = axes[0][0]
     return first
 
@@ -178,10 +151,9 @@ def _split_panel(ax: Axes, trade: Trade, model: str, metric: str) -> None:
         text = f"discretisation, N = {n:g}"
         draw("discretisation", n, color="#009E73", linestyle=dashes, marker=mark, label=text, markerfacecolor="white")
     ax.axhline(trade.tolerances[metric], color="0.4", linewidth=1.0, linestyle=(0, (2, 2)), label="tolerance")
-    _log(ax)
+    log_axes(ax)
     ax.margins(x=0.14)
-    _plain(ax)
-    ax.tick_params(labelsize=8)
+    bare(ax)
 
 
 def _size(found: ErrorSplit, part: str) -> float | None:
@@ -195,12 +167,11 @@ def law(laws: Sequence[Law]) -> Axes | None:
 
     if not laws:
         return None
-    canvas = Canvas(figsize=(8.4, 3.9), layout="constrained")
+    canvas = Canvas(figsize=(9.0, 3.9), layout="constrained")
     left, right = canvas.subplots(1, 2)
-    lines: dict[str, Any] = {}
     for found in laws:
         style = STYLES[found.family]
-        text = f"{'linear' if found.family == 'linear' else 'Hertz'}, N = {found.steps_per_contact:g}"
+        text = f"{model_name(found.family)}, N = {found.steps_per_contact:g}"
         k = np.asarray(found.k_n)
         left.plot(k, found.steps, style["marker"], color=style["color"], markersize=5, label=text)
         cpu = np.asarray(found.cpu_seconds)
@@ -208,68 +179,24 @@ def law(laws: Sequence[Law]) -> Axes | None:
         if timed.any():
             spread = np.abs(np.asarray(found.cpu_range)[timed].T - cpu[timed])
             right.errorbar(
-                k[timed],
-                cpu[timed],
-                yerr=spread,
-                fmt=style["marker"],
-                color=style["color"],
-                markersize=5,
-                elinewidth=0.8,
-                label=text,
+                k[timed], cpu[timed], spread, label=text, markersize=5, elinewidth=0.8, **_points(found.family)
             )
         if found.fit is not None:
             order = np.argsort(k)
             steps = np.asarray(found.steps, dtype=np.float64)
-            right.plot(
-                k[order],
-                (found.fit.start.value + found.fit.per_step.value * steps)[order],
-                color=style["color"],
-                linewidth=1.0,
-                linestyle=style["linestyle"],
-                label=f"{text}: {'gas + steps' if found.bed else 'start + steps'}",
-            )
+            fitted = (found.fit.start.value + found.fit.per_step.value * steps)[order]
+            label = f"{text}: {'gas + steps' if found.bed else 'start + steps'}"
+            right.plot(k[order], fitted, linewidth=1.0, label=label, **line_style(found.family))
     k = np.asarray(laws[0].k_n)
     middle = len(k) // 2
     left.plot(
         k, laws[0].steps[middle] * (k / k[middle]) ** LAW, color="0.6", linewidth=1.0, zorder=0, label="k_n^(1/2)"
     )
     for ax, label in ((left, "steps [–]"), (right, "CPU time [s]")):
-        _log(ax)
+        log_axes(ax)
         ax.set_xlabel("stiffness k_n, of Hertz the secant [N/m]")
         ax.set_ylabel(label)
-        lines |= {text: line for line, text in zip(*ax.get_legend_handles_labels(), strict=True)}
-        _plain(ax)
-    canvas.legend(lines.values(), lines.keys(), loc="outside upper left", ncols=3, frameon=False, fontsize=8.5)
+        bare(ax)
+    shared_legend((left, right), columns=3)
     first: Axes = left
     return first
-
-
-def _log(ax: Axes) -> None:
-    """Make both axes logarithmic, once everything is drawn: plain numbers, decades, or 1, 2, 5 of a short range."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
-
-    ax.set_xscale("log")
-    ax.set_yscale("log")
-    for axis, (low, high) in ((ax.xaxis, ax.get_xlim()), (ax.yaxis, ax.get_ylim())):
-        axis.set_major_locator(LogLocator(base=10, subs=(1.0,) if high > 100.0 * low else (1.0, 2.0, 5.0)))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axis.set_minor_locator(NullLocator())  # thousands of minor ticks take seconds to lay out
-
-
-def _plain(ax: Axes) -> None:
-    ax.grid(True, which="major", color="0.88", linewidth=0.7)
-    ax.set_axisbelow(True)
-    ax.spines[["top", "right"]].set_visible(False)
-
-
-def _dress(ax: Axes) -> None:
-    _plain(ax)
-    ax.legend(
-        loc="lower left",
-        bbox_to_anchor=(0.0, 1.0, 1.0, 0.1),
-        ncols=3,
-        frameon=False,
-        fontsize=8.5,
-        borderaxespad=0.3,
-        columnspacing=1.4,
-    )

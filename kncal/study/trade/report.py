@@ -9,66 +9,102 @@ from pathlib import Path
 import numpy as np
 
 from kncal import __version__
-from kncal.core.errors import RenderError
-from kncal.core.files import write_text
-from kncal.core.scratch import drawn_aside
-from kncal.core.units import quantity, si_prefix
-from kncal.report.page import Table, page_template
+from kncal.core.units import plus_minus, quantity, si_prefix
+from kncal.report.page import Page, Section, Table, report_folder, verdict, write_page
+from kncal.report.style import model_name
 from kncal.study.trade.answer import describe, sentences, shown_factor
 from kncal.study.trade.cost_law import Law
 from kncal.study.trade.figures import draw_trade_figures
-from kncal.study.trade.front import Conclusion, changed, cost, verdict, worst_ratio
+from kncal.study.trade.front import Conclusion, changed, cost, worst_ratio
+from kncal.study.trade.front import verdict as verdict_of
 from kncal.study.trade.trade import Candidate, ErrorSplit, MetricError, Part, Trade, TradePoint
 
 #: Points of the front whose worst error is more times its tolerance are not shown with it.
 NEAR = 10.0
+_SPLIT = (
+    "Each part is measured by changing one thing. Discretisation: this contact at its N against the same contact at the"
+    " N of the reference. Softness: this contact against the unsoftened one of the same model. Model: the unsoftened"
+    " linear contact against the reference. For numbers the parts add up exactly; for distances of paths they need not,"
+    " and what is left over is called interaction."
+)
+_REFERENCE = (
+    "N was doubled until no judged metric changed by more than a tenth of the smallest tolerance. Left: the remaining"
+    " discretisation error (by Richardson, or the distance to the exact solution if that is larger). SI units."
+)
 
 
 def write_trade_report(trade: Trade, conclusion: Conclusion, laws: Sequence[Law], folder: Path) -> Path:
     """Write the report into ``folder`` (made if missing, files of an earlier report replaced); return the page.
-
-    It needs no network and runs no script; every text in it is escaped.
 
     Raises
     ------
     RenderError
         If ``folder`` is a file or a symbolic link.
     """
-    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
-        raise RenderError(f"{folder}: expected a folder for the report (or nothing yet), not a file or a link")
-    folder.mkdir(parents=True, exist_ok=True)
-    with drawn_aside(folder) as drawn:
+    with report_folder(folder) as drawn:
         figures = draw_trade_figures(trade, conclusion, laws, drawn)
-    texts = sentences(trade, conclusion, laws)
     near = shown_points(trade, conclusion)
-    page = folder / "index.html"
-    write_text(
-        page,
-        page_template("trade.html.j2").render(
-            case=trade.case,
-            title=trade.title,
-            state="within"
-            if conclusion.chosen is not None
-            else "outside"
-            if conclusion.promising is None
-            else "undecided",
-            sentences=texts,
-            figures=figures,
-            front=point_table(trade, conclusion, [trade.reference, *near]),
-            far=0 if trade.bed else len(conclusion.front) - len(near),
-            limit=f"{NEAR:g}",
-            splits=_split_table(trade, near),
-            convergence=_convergence_table(trade),
-            points=point_table(trade, conclusion, [trade.reference, *trade.points]),
-            not_run=[f"{p.candidate.name}: {p.status}: {p.message}" for p in trade.points if not p.completed],
-            cost="CPU time" if trade.bed else "number of steps",
-            bed=trade.bed,
-            reference=describe(trade.reference.candidate),
-            provenance={"kncal": {"version": __version__, "wall time": quantity(trade.wall_seconds, "s", 3)}},
-            files=("../trade.json", "../trade.csv", *(("../case.toml",) if conclusion.chosen is not None else ())),
+    state = "within" if conclusion.chosen else "outside" if conclusion.promising is None else "undecided"
+    lost = tuple(f"{p.candidate.name}: {p.status}: {p.message}" for p in trade.points if not p.completed)
+    about = "what a softer or coarser contact saves, and what it costs in accuracy"
+    page = Page(
+        case=trade.case,
+        title=trade.title,
+        subject="speed for accuracy",
+        about=f"Case {trade.case}: {about}. Reference: {describe(trade.reference.candidate)}.",
+        verdict=verdict(state, sentences(trade, conclusion, laws), points=5),
+        sections=(
+            Section(title="Cost against error", figures=figures),
+            _first_section(trade, conclusion, near),
+            Section(
+                title="Where the errors come from" if trade.bed else "Where the errors of the front come from",
+                text=(_SPLIT,) if trade.splits else (),
+                table=_split_table(trade, near),
+                remark="In brackets: not resolved (smaller than its uncertainty, or that is not known).",
+            ),
+            Section(title="The reference", table=_convergence_table(trade), remark=_REFERENCE),
+            Section(
+                title="Every point",
+                table=point_table(trade, conclusion, [trade.reference, *trade.points]),
+                parts=(Section(title="Without numbers", points=lost),),
+                folded=True,
+            ),
         ),
+        provenance={"kncal": {"version": __version__, "wall time": quantity(trade.wall_seconds, "s", 3)}},
+        files=("../trade.json", "../trade.csv", *(("../case.toml",) if conclusion.chosen is not None else ())),
     )
-    return page
+    return write_page(page, folder)
+
+
+def _first_section(trade: Trade, conclusion: Conclusion, near: Sequence[TradePoint]) -> Section:
+    """The points that count: the front, or of a bed all that ran."""
+    end = "Worst: the largest (|error| + uncertainty)/tolerance. A point is ok only if its whole interval is inside."
+    start = "N: steps per contact, with the same meaning for every contact. Errors are relative to the reference;"
+    table = point_table(trade, conclusion, [trade.reference, *near])
+    if trade.bed:
+        return Section(
+            title="The contacts that ran",
+            text=(
+                "From cheap to dear. A share run is the part of the case's time that was simulated; CPU times are"
+                " extrapolated to the whole time.",
+            ),
+            table=table,
+            remark=f"{start} ± is the 95 % interval of the difference of the two averages. {end} Undecided: its"
+            " interval is partly inside. CPU: of the whole run, median of its parts (smallest–largest).",
+        )
+    far = len(conclusion.front) - len(near)
+    left_out = f" {far} more points of the front are cheaper, and more than {NEAR:g} times outside." if far else ""
+    return Section(
+        title="The Pareto front",
+        text=(
+            "No other point has both a smaller number of steps and a smaller worst error over tolerance, uncertainty"
+            f" included.{left_out}",
+        ),
+        table=table,
+        remark=f"{start} ± is the remaining error of the reference and what another moment of first touch within a step"
+        f" could add: a run shows one such moment and may be lucky. {end} CPU: median of the rounds"
+        " (smallest–largest).",
+    )
 
 
 def shown_points(trade: Trade, conclusion: Conclusion) -> list[TradePoint]:
@@ -103,25 +139,24 @@ def point_table(trade: Trade, conclusion: Conclusion, points: Sequence[TradePoin
                 *("" if reference else error_text(point.errors.get(metric)) for metric in metrics),
                 "" if ratio == math.inf else f"{ratio:.3g}",
                 ", ".join(sign.name for sign in changed(trade, point)),
-                "reference" if reference else {"inside": "ok"}.get(found := verdict(point, trade.tolerances), found),
+                "reference" if reference else {"inside": "ok"}.get(found := verdict_of(point, trade.tolerances), found),
             )
         )
-    headings = ("contact", "factor", "k_n", "N", "steps", "CPU", *metrics, "worst/tol.", "signs", "")
-    return Table(headings, tuple(rows))
+    headings = ("contact", "factor", "k_n", "N", "steps", "CPU", *metrics, "worst", "signs", "")
+    return Table(headings, tuple(rows), text=(0, len(headings) - 2, len(headings) - 1))
 
 
 def short(candidate: Candidate) -> str:
     """Return what a contact is, where its factor and N stand beside it."""
-    kind = {"linear": "linear", "hertz": "Hertz"}[candidate.model]
     how = {"reference": "reference", "reduced_modulus": ""}.get(candidate.how, candidate.how)
-    return f"{kind}, {how}".removesuffix(", ")
+    return f"{model_name(candidate.model)}, {how}".removesuffix(", ")
 
 
 def _cpu(point: TradePoint) -> str:
     if not point.cpu_seconds:
         return "–"
     low, high = min(point.cpu_seconds), max(point.cpu_seconds)
-    factor, unit = si_prefix(float(np.median(point.cpu_seconds)), "s")
+    factor, unit = si_prefix(high, "s")
     text = f"{factor * float(np.median(point.cpu_seconds)):.3g}"
     text += f" ({factor * low:.3g}–{factor * high:.3g}) {unit}" if len(point.cpu_seconds) > 1 else f" {unit}"
     return text + ("" if point.ran_share == 1.0 else f", {100.0 * point.ran_share:.0f} % run")
@@ -131,8 +166,7 @@ def error_text(error: MetricError | None) -> str:
     """Return an error with its uncertainty in percent."""
     if error is None or error.error is None:
         return "–"
-    width = "" if error.uncertainty is None else f" ± {100.0 * error.uncertainty:.2g}"
-    return f"{100.0 * error.error:+.3g}{width} %"
+    return f"{_share(error.error, error.uncertainty)} %"
 
 
 def _split_table(trade: Trade, points: Sequence[TradePoint]) -> Table:
@@ -156,7 +190,7 @@ def _split_table(trade: Trade, points: Sequence[TradePoint]) -> Table:
         "interaction",
         "not known",
     )
-    return Table(headings, tuple(rows))
+    return Table(headings, tuple(rows), text=(0, 3, 10))
 
 
 def _split_cells(split: ErrorSplit) -> tuple[str, ...]:
@@ -177,8 +211,14 @@ def _part(part: Part | None) -> str:
         return "–"
     if part.value == 0.0 and not part.uncertainty:
         return "0"
-    width = "" if part.uncertainty is None else f" ± {100.0 * part.uncertainty:.2g}"
-    return f"{100.0 * part.value:+.3g}{width} %" + ("" if part.resolved else ", not resolved")
+    text = f"{_share(part.value, part.uncertainty)} %"
+    return text if part.resolved else f"({text})"
+
+
+def _share(value: float, uncertainty: float | None) -> str:
+    if uncertainty is None:
+        return f"{100.0 * value:+.3g}"
+    return plus_minus(100.0 * value, 100.0 * uncertainty, signed=True)
 
 
 def _convergence_table(trade: Trade) -> Table | None:

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from kncal.report import plots
-from kncal.report.figures import Figure
+from kncal.report.page import Figure
+from kncal.report.style import Album, new_axes
 from kncal.study.trim.base import EITHER, KEEP, LEAVE_OUT, MATTERS, NOT_NEEDED, UNDECIDED, PartResult, Trim
 
 if TYPE_CHECKING:
@@ -22,41 +22,31 @@ _SMALLEST = 1e-4
 
 def draw_figures(found: Trim, folder: Path) -> tuple[Figure, ...]:
     """Write the figures that the results allow into ``folder``, as PNG and SVG."""
-    figures = []
+    album = Album(folder)
     run = [r for r in found.results if r.cost is not None]
     if run:
-        png, svg = plots.save(_cost(run), folder, "cost")
         measured = any(r.cost is not None and r.cost.cpu is not None for r in run)
         spread = any(r.cost is not None and r.cost.cpu_low is not None for r in run)
-        figures.append(
-            Figure(
-                name="cost",
-                png=png.name,
-                svg=svg.name,
-                caption=f"What having each part costs in {'CPU time' if measured else 'steps'}"
-                + (", lines: smallest and largest of the rounds. " if spread else ". ")
-                + _MEANING,
-                alt="Bars of the cost of each part.",
-            )
+        rounds = "; lines: smallest and largest of the rounds" if spread else ""
+        album.add(
+            "cost",
+            _cost(run),
+            f"What each part costs in {'CPU time' if measured else 'steps'}{rounds}. {_MEANING}",
+            "Bars of the cost of each part.",
         )
-    with_share = [r for r in run if r.effects]
-    if with_share:
-        png, svg = plots.save(_effect(with_share, judged=bool(found.tolerances)), folder, "effect")
-        figures.append(
-            Figure(
-                name="effect",
-                png=png.name,
-                svg=svg.name,
-                caption="The effect of each part that uses most of its limit; lines: its uncertainty."
-                " Left of the limit for certain: without effect. " + _MEANING,
-                alt="Bars of the largest effect of each part over its limit.",
-            )
+    if with_share := [r for r in run if r.effects]:
+        album.add(
+            "effect",
+            _effect(with_share, judged=bool(found.tolerances)),
+            "The effect of each part that uses most of its limit; lines: its uncertainty. Surely left of the limit:"
+            f" without effect. {_MEANING}",
+            "Bars of the largest effect of each part over its limit.",
         )
-    return tuple(figures)
+    return tuple(album.figures)
 
 
 def _axes(results: Sequence[PartResult]) -> Axes:
-    ax = plots.new_axes(6.6, 1.3 + 0.36 * len(results))
+    ax = new_axes(5.6, 1.3 + 0.36 * len(results))
     ax.set_yticks(range(len(results)), [r.part.name for r in results])
     ax.set_ylim(len(results) - 0.4, -0.6)
     for side in ("top", "right"):

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
 from pathlib import Path
 
-from kncal.core.errors import RenderError
 from kncal.core.files import write_csv, write_json, write_text
 from kncal.core.units import quantity
-from kncal.report.figures import Figure
-from kncal.report.page import Table, page_template
+from kncal.report.page import Page, Section, Table, report_folder, verdict, write_page
 from kncal.scene.case_file import CASE, dump_case
 from kncal.study.trim.base import DOES_NOT_APPLY, RECORD, CostChange, PartResult, Trim
 from kncal.study.trim.figures import draw_figures
@@ -22,8 +19,6 @@ CSV, REPORT = "trim.csv", "report"
 def write_trim(found: Trim, out: Path) -> Path:
     """Write everything that a trim found into ``out``; returns the page's path.
 
-    The page needs no network and runs no script; every text in it is escaped.
-
     Raises
     ------
     RenderError
@@ -33,61 +28,70 @@ def write_trim(found: Trim, out: Path) -> Path:
     """
     import pandas as pd
 
-    folder = out / REPORT
-    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
-        raise RenderError(f"{folder}: expected a folder for the report (or nothing yet), not a file or a link")
-    folder.mkdir(parents=True, exist_ok=True)
-    # first, since it says whose folder this is
-    write_json(out / RECORD, found.to_dict())
-    write_text(out / CASE, dump_case(found.trimmed))
+    with report_folder(out / REPORT) as drawn:
+        # first, since it says whose folder this is
+        write_json(out / RECORD, found.to_dict())
+        figures = draw_figures(found, drawn)
+    trimmed = dump_case(found.trimmed)
+    write_text(out / CASE, trimmed)
     rows = csv_rows(found)
     write_csv(out / CSV, pd.DataFrame(rows, columns=list(CSV_UNITS)), CSV_UNITS)
-    figures: tuple[Figure, ...] = draw_figures(found, folder)
-    page = folder / "index.html"
-    write_text(
-        page,
-        page_template("trim.html.j2").render(
-            case=found.case,
-            title=found.title,
-            model=found.model,
-            state="within" if found.without else "open",
-            sentences=found.sentences,
-            parts=Table(
-                ("part", "tried", "verdict", "CPU", "steps", "disk", "largest effect", "of"),
-                tuple(_part_row(r) for r in found.results if r.verdict != DOES_NOT_APPLY),
+    tried = [r for r in found.results if r.verdict != DOES_NOT_APPLY]
+    left = tuple(r.sentence for r in found.results if r.verdict == DOES_NOT_APPLY)
+    page = Page(
+        case=found.case,
+        title=found.title,
+        subject="what it can do without",
+        about=f"Case {found.case}, {found.model} contact: what the scene can do without. Each optional part of its"
+        " physics was left out (or added, if the scene has it not), one at a time; then all that may go at once.",
+        verdict=verdict("within" if found.without else "open", found.sentences),
+        sections=(
+            Section(
+                title="Part by part",
+                table=part_table(found),
+                remark=_PARTS,
+                parts=(
+                    Section(title="Each part in words", points=tuple(r.sentence for r in tried), folded=True),
+                    Section(title="Not tried", points=left, folded=True),
+                ),
             ),
-            reasons=[r.sentence for r in found.results if r.verdict != DOES_NOT_APPLY],
-            not_tried=[r.sentence for r in found.results if r.verdict == DOES_NOT_APPLY],
-            effects=[(r.part.text, r.part.tried, _effects(r)) for r in found.results if r.effects],
-            attempts=[a.sentence for a in found.attempts],
-            figures=figures,
-            trimmed=dump_case(replace(found.trimmed)),
-            trimmed_model=found.trimmed_model,
-            files=(f"../{CASE}", f"../{RECORD}", f"../{CSV}"),
+            Section(title="Figures", figures=figures),
+            Section(title="All at once", points=tuple(a.sentence for a in found.attempts)),
+            Section(
+                title="The trimmed case",
+                text=(f"Run it with --model {found.trimmed_model}, or compare both models.",),
+                code=trimmed,
+                folded=True,
+            ),
+            Section(
+                title="Every metric",
+                parts=tuple(
+                    Section(title=f"{r.part.text}: {r.part.tried}", table=_effects(r))
+                    for r in found.results
+                    if r.effects
+                ),
+                folded=True,
+            ),
         ),
+        files=(f"../{CASE}", f"../{RECORD}", f"../{CSV}"),
     )
-    return page
+    return write_page(page, out / REPORT)
+
+
+_PARTS = (
+    "Cost: of having the part, relative to the scene without it (if the scene has it not: of adding it). Effect: the"
+    " changed scene minus the full one, relative to the full one; shown is the metric that uses most of its limit. ± is"
+    " the discretisation error of both runs for single contacts, the 95 % confidence interval for beds; 0 means equal"
+    " to the last bit."
+)
 
 
 #: Column of trim.csv -> its unit.
-CSV_UNITS = {
-    "part": "-",
-    "change": "-",
-    "verdict": "-",
-    "metric": "-",
-    "full": "see unit",
-    "tried": "see unit",
-    "unit": "-",
-    "difference": "-",
-    "uncertainty": "-",
-    "tolerance": "-",
-    "effect": "-",
-    "cpu": "-",
-    "cpu_low": "-",
-    "cpu_high": "-",
-    "steps": "-",
-    "disk": "-",
-}
+CSV_UNITS = dict.fromkeys(
+    ("part", "change", "verdict", "metric", "full", "tried", "unit", "difference", "uncertainty", "tolerance", "effect",
+     "cpu", "cpu_low", "cpu_high", "steps", "disk"),
+    "-",
+) | {"full": "see unit", "tried": "see unit"}  # fmt: skip
 
 
 def csv_rows(found: Trim) -> list[dict[str, object]]:
@@ -119,8 +123,14 @@ def _price(cost: CostChange | None) -> dict[str, object]:
     return {} if cost is None else {name: getattr(cost, name) for name in names}
 
 
-def part_row(result: PartResult) -> tuple[str, ...]:
-    """Return name, what was tried, verdict, cost of CPU, steps and disk, largest effect and its metric, as text."""
+def part_table(found: Trim) -> Table:
+    """Return the parts that were tried: what, verdict, cost in CPU, steps and disk, largest effect and its metric."""
+    rows = tuple(_part_row(r) for r in found.results if r.verdict != DOES_NOT_APPLY)
+    headings = ("part", "tried", "verdict", "CPU", "steps", "disk", "largest effect", "of")
+    return Table(headings, rows, text=(0, 1, 2, 7))
+
+
+def _part_row(result: PartResult) -> tuple[str, ...]:
     cost, worst = result.cost, result.worst
     return (
         result.part.name,
@@ -132,9 +142,6 @@ def part_row(result: PartResult) -> tuple[str, ...]:
         "–" if worst is None else change_text(worst),
         "" if worst is None else worst.metric,
     )
-
-
-_part_row = part_row
 
 
 def _percent(share: float) -> str:
@@ -162,4 +169,4 @@ def _effects(result: PartResult) -> Table:
         )
         for e in result.effects
     )
-    return Table(("", "full", "tried", "change", "allowed", "", "remark"), tuple(rows))
+    return Table(("", "full", "tried", "change", "allowed", "", "remark"), tuple(rows), text=(0, 5, 6))

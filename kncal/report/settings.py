@@ -1,0 +1,114 @@
+"""What a report says of how its runs were made: numbers of the scene, contacts, conventions."""
+
+from __future__ import annotations
+
+from collections.abc import Set
+from typing import Any
+
+from kncal.core.units import percent, quantity
+from kncal.report.page import Table
+from kncal.scene.bed_scene import Gas
+from kncal.scene.model import BedModel
+
+_DRAGS = {
+    "ErgunWenYu": "Ergun below a void fraction of 0.8, Wen and Yu above (Gidaspow's combination)",
+    "PlessisMasliyah": "Du Plessis and Masliyah",
+}
+_DEPTHS = {
+    "walls": "walls in front and at the back",
+    "periodic": "periodic in depth",
+    "layer": "one layer of particles held in its plane, no walls in front and at the back",
+}
+_MODEL_B = (
+    "Gas and particles: Gidaspow's model B. DPMFoam gives the whole pressure gradient to the gas. Its drag law, scaled"
+    " by the void fraction, contains the pressure-gradient force, so this force is not added a second time. The gas"
+    " equation carries the full weight of the gas, so each particle also gets the buoyancy V ρ_g g. The force on a"
+    " particle is constant during a coupling interval; the gas makes one or more steps in it."
+)
+#: Contact end -> what it means.
+_ENDS = {
+    "overlap": "Contact end: the overlap is back at zero. Restitution and duration count to that moment. Shortly before"
+    " it, a damped contact may pull.",
+    "force": "Contact end: the normal force is back at zero. Attraction is cut off. Restitution and duration of the"
+    " calibration count to that moment.",
+}
+
+
+def contact_end(contact: Any) -> str:
+    """Return what the end of a contact means, for a contact of a scene of any kind."""
+    return _ENDS[contact.end]
+
+
+def bed_settings(linear: BedModel, hertz: BedModel, costs: tuple[Any, Any]) -> Table:
+    """Return how two runs of a bed were made; ``costs`` say by which transport."""
+    models = (linear, hertz)
+    scene = hertz.scene
+    column, particles, gas = scene.column, scene.particles, scene.gas
+    box = (column.width, column.depth, column.height)
+    edges = zip(box, column.cells, strict=True)
+    smallest = min(s / n for axis, (s, n) in enumerate(edges) if not (axis == 1 and column.front_back == "layer"))
+    rows = [
+        ("transport between the solvers", *(c.transport for c in costs)),
+        ("coupling interval", *(quantity(m.coupling, "s") for m in models)),
+        ("gas step", *(quantity(m.gas_step, "s") if gas is not None else "–" for m in models)),
+        _both("box (x, y, z)", " × ".join(quantity(s, "m") for s in box)),
+        _both("front and back", _DEPTHS.get(column.front_back, column.front_back)),
+        _both(
+            "gas cells (x, y, z)",
+            f"{' × '.join(map(str, column.cells))}; smallest edge {smallest / particles.diameter:.3g} diameters",
+        ),
+        _both("particles", f"{particles.count:,} of {quantity(particles.diameter, 'm')}, start: {particles.packing}"),
+    ]
+    if particles.count and not particles.frozen:
+        rows.insert(3, ("DEM steps per coupling", *(str(m.steps_per_coupling) for m in models)))
+    if gas is not None:
+        rows += [
+            _both("drag law", f"{gas.drag}: {_DRAGS.get(gas.drag, '')}".rstrip(": ")),
+            _both("gas enters", _inlet(gas)),
+            _both("parcels per particle", str(gas.parcels_per_particle)),
+        ]
+    rows += [(f"contact {'–'.join(pair)}", *(_contact(m, pair) for m in models)) for pair in hertz.named]
+    return Table(("", "linear", "Hertz"), tuple(rows), text=(0, 1, 2))
+
+
+def _both(name: str, text: str) -> tuple[str, str, str]:
+    return (name, text, text)
+
+
+def _inlet(gas: Gas) -> str:
+    if gas.jet is not None:
+        return f"jet of {quantity(gas.jet.velocity, 'm/s')}, {quantity(gas.jet.x_high - gas.jet.x_low, 'm')} wide"
+    return f"ramp over {len(gas.ramp)} points" if gas.ramp else f"{quantity(gas.U_0, 'm/s')} over the floor"
+
+
+def _contact(model: BedModel, pair: tuple[str, str]) -> str:
+    c = model.named.get(pair)
+    if c is None:
+        return "–"
+    stiffness = f"k_n = {quantity(c.k, 'N/m', 4)}" if c.n == 1.0 else f"k_h = {c.k:.4g} N/m^1.5"
+    return f"{c.law}: {stiffness}, e_n = {c.e_n:g}, friction {c.friction:g}, t_c = {quantity(c.t_c, 's', 3)}"
+
+
+def bed_conventions(linear: BedModel, hertz: BedModel, shown: Set[str]) -> tuple[str, ...]:
+    """Return what the numbers mean; of the metrics only those in ``shown``."""
+    scene = hertz.scene
+    texts = [_MODEL_B] if scene.gas is not None else []
+    if hertz.contacts:
+        ratios = {pair: c.k_t / c.k for pair, c in linear.named.items() if c.friction > 0.0}
+        listed = ", ".join(f"{ratio:.3g} ({'–'.join(pair)})" for pair, ratio in ratios.items())
+        how = "Mindlin's 4 G_eff/E_eff" if scene.contact.k_t_ratio is None else "as the case gives it"
+        tangential = "no friction, so no tangential force in either run."
+        if ratios:
+            tangential = (
+                f"linear k_t/k_n = {listed}, {how}; Hertz: Mindlin's 8 G_eff sqrt(R_eff δ). Both have friction with a"
+                " tangential spring and no tangential damping. The two decks differ only in the normal law, its"
+                " tangential stiffness and the time step."
+            )
+        texts += [f"Tangential stiffness: {tangential}", contact_end(scene.contact)]
+    if any(name.startswith("bubble_") for name in shown):
+        texts.append("Bubbles are connected cells with a void fraction above 0.7 that do not reach the freeboard.")
+    if "bed_height" in shown:
+        texts.append("The bed height is where the laterally averaged void fraction crosses 0.8.")
+    if "overlap_share" in shown:
+        texts.append(f"overlap_share counts contacts above {percent(0.01).lstrip('+')} of the diameter.")
+    return tuple(texts)
