@@ -258,10 +258,10 @@ def _unequal_pressed(given: Ingredients, kind: str, e_n: float, size_ratio: floa
         name = f"pressed-pair-{size_ratio:g}-{kind}"
         return _scene(given, name, e_n, (small, replace(large, radius=big)), walls)
 
-    contacts = plan(scene(0.0, 0.0, 0.0, 0.0), (kind,))[kind].named
-    middle, delta = contacts["small", "large"], 2.0 * R * PRESSED_SHARE
+    model = plan(scene(0.0, 0.0, 0.0, 0.0), (kind,))[kind]
+    middle, delta = model.between("small", "large"), 2.0 * R * PRESSED_SHARE
     force = middle.k * delta**middle.n
-    left, right = (contacts[names] for names in (("small", "x-low"), ("large", "x-high")))
+    left, right = model.between("small", "x-low"), model.between("large", "x-high")
     in_left, in_right = ((force / c.k) ** (1.0 / c.n) for c in (left, right))
     return _of(
         scene(delta, in_left, in_right, _nudge(middle, delta)), kind, e_n, 2, pressed=True, size_ratio=size_ratio
