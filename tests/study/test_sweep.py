@@ -378,7 +378,7 @@ def test_numbers_that_could_not_be_had_are_looked_for_again(case: Path, folder: 
         raise ReadError("no memory of it")
 
     with monkeypatch.context() as patch:
-        patch.setattr(kncal.study.table, "_contact_numbers", fail)
+        patch.setattr(kncal.study.table, "_numbers", fail)
         assert set(read_sweep(folder)["message"]) == {"no numbers: no memory of it"}
     pd.testing.assert_frame_equal(read_sweep(folder), before)
 
