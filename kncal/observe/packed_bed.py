@@ -28,8 +28,8 @@ class Plateau:
     eps_g : mean void fraction there [-]
     gradient : of the pressure, against the flow and without the weight of the gas [Pa/m]
     ergun : mean of Ergun's gradient, each cell with its own void fraction and velocity [Pa/m]
-    ergun_mean : Ergun's gradient at ``U_0`` and ``eps_g`` [Pa/m]: larger than ``gradient``, since the gas takes the
-        looser ways
+    ergun_mean : Ergun's gradient at ``U_0`` and ``eps_g`` [Pa/m]: larger than ``gradient``, since more gas
+        flows where the packing is loose
     ratio : gradient over ergun [-]; uncertainty : its change between the last two frames [-], the flow's
         steadiness alone
     """

@@ -44,7 +44,7 @@ _NAMED = 10
 Id = Annotated[str, Field(pattern="^[0-9a-f]{12}$")]
 
 
-#: Called with (id of a run, what is to be minded about it).
+#: Called with (id of a run, a warning about it).
 OnWarnings = Callable[[str, tuple[Finding, ...]], None]
 
 
@@ -159,7 +159,7 @@ def design(
     progress : callable, optional
         Called with (points checked, points in all).
     warn : callable, optional
-        Called with (id, what is to be minded about that run), once for each run of which there is something.
+        Called with (id, warning), once for each run that has one.
 
     Raises
     ------

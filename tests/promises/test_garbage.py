@@ -126,6 +126,10 @@ CALLS: dict[Callable[..., Any], dict[str, Any]] = {
         "particles": {"a": (GLASS, 1e-3)}, "walls": {"w": None}, "v_0": {("a", "a"): 0.5, ("a", "w"): 1.0}, "e_n": 0.9,
         "law": "tsuji", "method": "limited_overlap", "end": "force", "fraction": 0.01,
     },
+    kncal.matrix_block: {
+        "matrix": kncal.calibrate_matrix({"a": (GLASS, 1e-3)}, {"w": GLASS}, v_0=0.5, e_n=0.9),
+        "style": "hooke/stiffness", "friction": 0.5, "k_t_ratio": 0.5, "steps_per_contact": 50.0,
+    },
     kncal.contact_time: {"k_n": 1e5, "m_eff": 1e-6, "e_n": 0.9, "end": "force"},
     kncal.hertz_time: {"pair": BEADS, "v_0": 0.5, "e_n": 0.9, "law": "tsuji", "end": "force"},
     kncal.rayleigh_time: {"material": GLASS, "radius": 1e-3},

@@ -362,8 +362,8 @@ def _sentences(
     called = [e for r in results for e in r.effects if e.verdict == "-" and e.change and e.significant is not None]
     if isinstance(scene, BedScene) and called:
         texts.append(
-            f"Of {len(called)} changes that are told and not judged, about {0.05 * len(called):.1f} would be larger"
-            " than their uncertainty by chance alone."
+            f"{len(called)} changes are told, not judged. Expect {0.05 * len(called):.1f} of them to be larger"
+            " than their uncertainty although nothing has changed."
         )
     texts += dict.fromkeys(f"CPU times: {r.cost.caveat}." for r in results if r.cost is not None and r.cost.caveat)
     return tuple(texts)
