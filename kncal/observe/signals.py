@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from kncal.core.checks import Array, as_floats, positive
+from kncal.core.checks import Array
 from kncal.core.errors import InputError
 from kncal.record.series import BedSeries
 
@@ -206,14 +206,6 @@ def overlap_statistics(series: BedSeries, begin: float) -> OverlapStatistics:
         edges=edges,
         histogram=histogram,
     )
-
-
-def share_above(overlaps: OverlapStatistics, limit: ArrayLike) -> Array:
-    """Return the share of overlaps above ``limit`` [m], of the shape of ``limit``, linear within a bin."""
-    positive("limit", limit, unit="m")
-    cumulative = np.concatenate([[0], np.cumsum(overlaps.histogram)]) / overlaps.counted
-    share: Array = 1.0 - np.interp(as_floats("limit", limit), overlaps.edges, cumulative)
-    return np.where(np.asarray(limit) >= overlaps.max, 0.0, share)
 
 
 def _quantiles(edges: Array, histogram: NDArray[np.int64], shares: Array) -> Array:

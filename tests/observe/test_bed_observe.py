@@ -20,7 +20,7 @@ from kncal.observe.fields import (
     velocity_profile,
     voidage_heights,
 )
-from kncal.observe.signals import force_balance, overlap_statistics, pressure_spectrum, share_above
+from kncal.observe.signals import force_balance, overlap_statistics, pressure_spectrum
 
 
 @pytest.fixture(scope="module")
@@ -124,9 +124,6 @@ def test_overlaps_of_known_distribution():
     assert found.max == overlaps.max()
     for share, value in found.percentiles.items():
         assert value == pytest.approx(-mean * np.log(1.0 - share / 100.0), rel=0.05)
-    limits = np.array([1e-6, 5e-6, 2e-5])
-    np.testing.assert_allclose(share_above(found, limits), np.exp(-limits / mean), rtol=0.05)
-    assert share_above(found, found.max) == 0.0
     half = overlap_statistics(run, run.t[100])
     assert half.counted == 50_000
 
