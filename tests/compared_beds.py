@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kncal.observe.run_data import BedRunData
+from kncal.observe.run_data import RunData
 from kncal.physics.material import Material
 from kncal.record.facts import bed_facts
 from kncal.record.outcome import RunResult
@@ -65,7 +65,7 @@ def run_data(
     status: str = "completed",
     cpu: tuple[float, float, float] = (12.0, 5.0, 1.0),
     bubble: bool = True,
-) -> BedRunData:
+) -> RunData:
     """A run of ``length`` s whose signals are AR(1) around ``means``, independent for every seed."""
     model = plan(scene, [kind])[kind]
     model = replace(
@@ -141,4 +141,4 @@ def run_data(
         message="" if status == "completed" else "ERROR: lost atoms",
         extra=extra,
     )
-    return BedRunData(model=model, result=result, series=series)
+    return RunData(model=model, result=result, signals=series)

@@ -56,6 +56,4 @@ def run_data(
         message="" if status == "completed" else "ERROR: lost atoms",
     )
     observations = Observations(contacts=(), metrics=dict(metrics), series={})
-    return RunData(
-        model=planned, result=result, trajectory=trajectory or uniform(), observations=observations, **fields
-    )
+    return RunData(model=planned, result=result, frames=trajectory or uniform(), contacts=observations, **fields)

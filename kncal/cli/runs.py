@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
@@ -105,8 +105,7 @@ def run(
 
     folder, results = _run(case, kinds(model), at or CaseFlags(), by or RanksFlags(), how or RunFlags())
     runs = {kind: load(folder / kind) for kind in results}
-    metrics: dict[str, Any] = {kind: getattr(data, "observations", None) for kind, data in runs.items()}
-    metrics = {kind: {} if seen is None else seen.metrics for kind, seen in metrics.items()}
+    metrics = {kind: dict(data.contacts.metrics) if data.contacts else {} for kind, data in runs.items()}
     if json:
         show.as_json(
             {
@@ -250,7 +249,7 @@ def _print_results(case: str, results: dict[str, RunResult], metrics: dict[str, 
     show.table(f"{case} by {next(iter(results.values())).engine}", ["", *results], rows)
 
 
-def _print_comparison(comparison: Comparison[Any]) -> None:
+def _print_comparison(comparison: Comparison) -> None:
     """Print the rows and the verdict; the unit of a row is that of its numbers."""
     from kncal.observe.row import difference_text
 

@@ -7,31 +7,29 @@ beds are chaotic: their averages are compared, with confidence intervals, never 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from kncal.core.errors import InputError, RunError
 from kncal.observe.averages import BedObservations
 from kncal.observe.cost import Cost, Speed, speed
-from kncal.observe.difference import Run, finite, rows_between, scale_of
+from kncal.observe.difference import finite, rows_between, scale_of
 from kncal.observe.estimate import Estimate
 from kncal.observe.invariants import Invariant, invariants
 from kncal.observe.known import known_answers
 from kncal.observe.row import COLUMNS, Row, needed_end
-from kncal.observe.run_data import BedRunData, RunData
+from kncal.observe.run_data import RunData
 from kncal.observe.verdict import Verdict, verdict
 from kncal.scene.limits import no_contact
 from kncal.scene.metrics import metric_order, metric_text, metric_unit
-from kncal.scene.model import BedModel, Model
+from kncal.scene.model import Plan
 from kncal.scene.species import listed
 
 if TYPE_CHECKING:
     import pandas as pd
-
-R = TypeVar("R", RunData, BedRunData)
 
 #: A deviation up to this many times the predicted error counts as explained: the prediction is the worst of
 #: sampled sub-step phases, the run has a phase of its own.
@@ -41,12 +39,12 @@ _SCENE = ("particles", "walls", "column", "gas", "gravity")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Comparison(Generic[R]):
+class Comparison:
     """The verdict on a run and its reference; made by `compare`.
 
     Attributes
     ----------
-    run, reference : both RunData, or both BedRunData
+    run, reference : RunData of one scene
     rows : one Row per metric
     exact : each run against the exact solution of its own model, where it is known: ``reference`` is exact, the
         width of its ``difference`` the predicted discretisation error, its verdict "ok" if that explains it
@@ -56,8 +54,8 @@ class Comparison(Generic[R]):
     verdict : in words
     """
 
-    run: R
-    reference: R
+    run: RunData
+    reference: RunData
     rows: tuple[Row, ...]
     exact: tuple[Row, ...]
     known: tuple[Row, ...]
@@ -66,7 +64,7 @@ class Comparison(Generic[R]):
     verdict: Verdict
 
     @property
-    def runs(self) -> tuple[R, R]:
+    def runs(self) -> tuple[RunData, RunData]:
         """The run and its reference."""
         return self.run, self.reference
 
@@ -123,7 +121,7 @@ class Comparison(Generic[R]):
             "exact": [r.to_dict() for r in self.exact],
             "known": [r.to_dict() for r in self.known],
             "invariants": [asdict(i) for i in self.invariants],
-            "theory": {r.model.kind: _theory(r.seen) for r in _beds(self.runs)},
+            "theory": {r.model.kind: _theory(r.seen) for r in self.runs if r.signals is not None},
             "costs": [{**asdict(c), "total": c.total} for c in self.costs],
             "speed": {**asdict(self.speed), "caveats": list(self.speed.caveats)},
             "windows": {r.model.kind: _window(r) for r in self.runs},
@@ -137,7 +135,7 @@ class Comparison(Generic[R]):
         return pd.DataFrame([r.to_dict() for r in self.rows], columns=list(COLUMNS))
 
 
-def compare(run: R, reference: R, tolerances: Mapping[str, float] | None = None) -> Comparison[R]:
+def compare(run: RunData, reference: RunData, tolerances: Mapping[str, float] | None = None) -> Comparison:
     """Compare a run, the linear one, with its reference, the Hertz run of the same scene.
 
     Differences are relative to the reference. Where that is zero (for single contacts: below 1e-12 of the metric's
@@ -148,12 +146,12 @@ def compare(run: R, reference: R, tolerances: Mapping[str, float] | None = None)
     the reference (by the smallest radius if nothing moves). Between frames the motion is the cubic Hermite interpolant
     of positions and velocities, exact in flight.
 
-    Each bed is averaged after its own start-up (``run.discard`` of its scene, or as detected). A tolerance is met if
-    the whole interval of the difference is within it, see `kncal.observe.row.judge`.
+    Signals are averaged after the start-up of their run (``run.discard`` of its scene, or as detected). A tolerance is
+    met if the whole interval of the difference is within it, see `kncal.observe.row.judge`.
 
     Parameters
     ----------
-    run, reference : RunData, or BedRunData
+    run, reference : of one scene
     tolerances : metric -> largest allowed abs(difference) [-]; None: those of the reference's scene. One for a metric
         that cannot be computed makes the comparison fail.
 
@@ -179,10 +177,9 @@ def compare(run: R, reference: R, tolerances: Mapping[str, float] | None = None)
             raise InputError(f"tolerances: {name} = {limit!r}: expected a finite number >= 0, 0.05 means 5 %")
     rows = rows_between(run, reference, limits, names)
     saved = speed(run.cost, reference.cost)
-    beds = _beds((run, reference))
     exact = tuple(row for each in (run, reference) for row in _exact_rows(each))
-    known = tuple(a for each in beds for a in known_answers(each.model.kind, each.seen, each.model.scene.gas))
-    kept = invariants(*beds) if len(beds) == 2 else ()
+    known = tuple(answer for each in (run, reference) for answer in known_answers(each))
+    kept = invariants(run, reference)
     return Comparison(
         run=run,
         reference=reference,
@@ -195,7 +192,7 @@ def compare(run: R, reference: R, tolerances: Mapping[str, float] | None = None)
     )
 
 
-def _same_scene(run: Run, reference: Run) -> None:
+def _same_scene(run: RunData, reference: RunData) -> None:
     a, b = run.model.scene, reference.model.scene
     differing = [name for name in _SCENE if getattr(a, name, None) != getattr(b, name, None)]
     if differing:
@@ -203,22 +200,12 @@ def _same_scene(run: Run, reference: Run) -> None:
             f"the runs in {run.result.folder} and {reference.result.folder} differ in their {', '.join(differing)}:"
             " only runs of the same scene can be compared"
         )
-    if (
-        isinstance(run, RunData)
-        and isinstance(reference, RunData)
-        and run.trajectory.names != reference.trajectory.names
-    ):
-        raise InputError(
-            f"the recorded particles differ: {run.trajectory.names} and {reference.trajectory.names};"
-            " expected the same in both runs"
-        )
+    names = [None if each.frames is None else each.frames.names for each in (run, reference)]
+    if names[0] != names[1]:
+        raise InputError(f"the recorded particles differ: {names[0]} and {names[1]}; expected the same in both runs")
 
 
-def _beds(runs: Iterable[Run]) -> list[BedRunData]:
-    return [run for run in runs if isinstance(run, BedRunData)]
-
-
-def _exact_rows(data: Run) -> list[Row]:
+def _exact_rows(data: RunData) -> list[Row]:
     rows, values = [], data.exact or {}
     for name in sorted(values, key=metric_order):
         exact, found = finite(values[name]), data.estimate(name)
@@ -247,8 +234,8 @@ def _exact_rows(data: Run) -> list[Row]:
     return rows
 
 
-def _limits(runs: tuple[Run, ...]) -> tuple[tuple[str, str], ...]:
-    few = [run for run in runs if isinstance(run, RunData)]
+def _limits(runs: tuple[RunData, ...]) -> tuple[tuple[str, str], ...]:
+    few = [run for run in runs if run.contacts is not None]
     met = {event.pair for data in few for event in data.observations.contacts}
     pairs: dict[tuple[str, str], list[str]] = {}
     for data in few:
@@ -262,11 +249,11 @@ def _limits(runs: tuple[Run, ...]) -> tuple[tuple[str, str], ...]:
     return tuple(texts)
 
 
-def _window(run: Run) -> dict[str, Any]:
+def _window(run: RunData) -> dict[str, Any]:
     """The times [s] that the numbers of a run are of."""
-    if isinstance(run, RunData):
-        return {"begin": float(run.trajectory.t[0]), "begin_by": "given", "end": float(run.trajectory.t[-1])}
-    return {"begin": run.seen.begin, "begin_by": run.seen.begin_by, "end": float(run.series.t[-1])}
+    if run.signals is not None:
+        return {"begin": run.seen.begin, "begin_by": run.seen.begin_by, "end": float(run.signals.t[-1])}
+    return {"begin": float(run.trajectory.t[0]), "begin_by": "given", "end": float(run.trajectory.t[-1])}
 
 
 def _theory(seen: BedObservations) -> dict[str, Any]:
@@ -283,7 +270,7 @@ def _theory(seen: BedObservations) -> dict[str, Any]:
     }
 
 
-def _contacts(model: Model | BedModel) -> list[dict[str, Any]]:
+def _contacts(model: Plan[Any]) -> list[dict[str, Any]]:
     """The contacts for the JSON file; pairs that are alike once, with their number."""
     return [
         {

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from kncal.core.checks import in_range
 from kncal.core.errors import InputError, RunError
 from kncal.record.outcome import RunResult
+from kncal.scene.model import Plan
 
 #: Below this CPU time [s] a ratio of costs is not to be trusted (starting LIGGGHTS alone takes about 0.1 s).
 CPU_TRUSTED = 1.0
@@ -91,52 +93,46 @@ class Speed:
     caveats: tuple[str, ...] = ()
 
 
-def cost(model: str, result: RunResult, durations: Sequence[float], cpu_samples: Sequence[float] = ()) -> Cost:
-    """Return the cost of a completed run; planned contact ``durations`` and ``cpu_samples`` of repeats in s.
+def cost(model: Plan[Any], result: RunResult, cpu_samples: Sequence[float] = ()) -> Cost:
+    """Return the cost of a completed run of ``model``; ``cpu_samples`` of repeats [s].
 
     Raises
     ------
     InputError
         If the run has no steps, or a CPU time is negative or not finite.
+    RunError
+        If the result of a run with couplings lacks one of `EXTRA`.
     """
     if result.steps < 1:
-        raise InputError(f"the {model} run in {result.folder} has {result.steps} steps: expected at least 1")
-    samples = in_range(f"CPU seconds of the {model} run", list(cpu_samples) or [result.cpu_seconds], 0.0, np.inf)
+        raise InputError(f"the {model.kind} run in {result.folder} has {result.steps} steps: expected at least 1")
+    parts: dict[str, Any] = {}
+    if model.couplings:
+        if lacking := [name for name in EXTRA if name not in result.extra]:
+            raise RunError(
+                f"result of {result.folder}: {', '.join(lacking)} missing in 'extra'; expected the result of a bed run"
+            )
+        parts = {
+            "gas": float(result.extra["cpu_gas"]),
+            "exchange": float(result.extra["cpu_exchange"]),
+            "transport": str(result.extra["transport"]),
+            "couplings": model.couplings,
+            "coupling": model.coupling,
+        }
+    particles = float(result.extra["cpu_dem"]) if parts else result.cpu_seconds
+    samples = in_range(f"CPU seconds of the {model.kind} run", list(cpu_samples) or [particles], 0.0, np.inf)
     return Cost(
-        model=model,
+        model=model.kind,
         engine=result.engine,
         version=result.version,
         steps=result.steps,
         dt=float(result.dt),
-        steps_per_contact=float(min(durations) / result.dt) if durations else None,
+        steps_per_contact=float(model.shortest / result.dt) if model.contacts else None,
         cpu_seconds=float(np.median(samples)),
         cpu_low=float(samples.min()),
         cpu_high=float(samples.max()),
         runs=int(samples.size),
         wall_seconds=float(result.wall_seconds),
-    )
-
-
-def coupled_cost(model: str, result: RunResult, durations: Sequence[float], couplings: int, coupling: float) -> Cost:
-    """Return the cost of a completed run with gas, of so many ``couplings`` of ``coupling`` s.
-
-    Raises
-    ------
-    RunError
-        If the result lacks one of `EXTRA`.
-    """
-    if lacking := [name for name in EXTRA if name not in result.extra]:
-        raise RunError(
-            f"result of {result.folder}: {', '.join(lacking)} missing in 'extra'; expected the result of a bed run"
-        )
-    particles, gas, exchange = (float(result.extra[name]) for name in ("cpu_dem", "cpu_gas", "cpu_exchange"))
-    return replace(
-        cost(model, replace(result, cpu_seconds=particles), durations),
-        gas=gas,
-        exchange=exchange,
-        transport=str(result.extra["transport"]),
-        couplings=couplings,
-        coupling=coupling,
+        **parts,
     )
 
 

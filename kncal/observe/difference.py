@@ -17,7 +17,7 @@ from kncal.core.units import quantity
 from kncal.observe.averages import voidage_difference
 from kncal.observe.estimate import Estimate, apart, missing
 from kncal.observe.row import RMS, Row, judge
-from kncal.observe.run_data import BedRunData, RunData
+from kncal.observe.run_data import RunData
 from kncal.record.frames import Trajectory
 from kncal.scene.metrics import METRICS, metric_order, metric_text, metric_unit
 
@@ -27,9 +27,6 @@ NEGLIGIBLE = 1e-12
 #: The metrics that compare whole paths: the largest distance, and its root mean square; and whole fields.
 PATHS = ("trajectory", "trajectory_rms")
 FIELDS = ("eps_g",)
-
-#: Any completed run.
-Run = RunData | BedRunData
 
 
 class PathDifference(NamedTuple):
@@ -42,17 +39,17 @@ class PathDifference(NamedTuple):
 
 
 def rows_between(
-    run: Run, reference: Run, tolerances: Mapping[str, float], names: tuple[str, str] = ("linear", "hertz")
+    run: RunData, reference: RunData, tolerances: Mapping[str, float], names: tuple[str, str] = ("linear", "hertz")
 ) -> tuple[Row, ...]:
     """Return one row per metric that either run has, or that has a tolerance; ``names`` are those of the runs in texts.
 
     ``tolerances``: metric -> largest allowed abs(difference) [-].
     """
     whole: dict[str, Row] = {}
-    if isinstance(run, RunData) and isinstance(reference, RunData):
-        whole = {row.metric: row for row in path_difference(run.trajectory, reference.trajectory).rows}
-    elif isinstance(run, BedRunData) and isinstance(reference, BedRunData):
-        whole = {name: field_row(name, run, reference) for name in FIELDS if reference.may_have(name)}
+    if run.frames is not None and reference.frames is not None:
+        whole = {row.metric: row for row in path_difference(run.frames, reference.frames).rows}
+    if run.signals is not None and reference.signals is not None:
+        whole |= {name: field_row(name, run, reference) for name in FIELDS if not reference.why_not(name)}
     rows = (
         whole[name] if name in whole else value_row(name, run, reference, names)
         for name in metric_names(run, reference, (*tolerances, *whole))
@@ -60,7 +57,7 @@ def rows_between(
     return tuple(judge(row, tolerances.get(row.metric)) for row in rows)
 
 
-def metric_names(run: Run, reference: Run, more: Iterable[str] = ()) -> list[str]:
+def metric_names(run: RunData, reference: RunData, more: Iterable[str] = ()) -> list[str]:
     """Return every metric that either run has, and ``more``, by `metric_order`."""
     return sorted({*reference.estimates, *run.estimates, *more}, key=metric_order)
 
@@ -70,7 +67,7 @@ def finite(value: float | None) -> float | None:
     return None if value is None or not np.isfinite(value) else float(value)
 
 
-def value_row(name: str, run: Run, reference: Run, names: tuple[str, str]) -> Row:
+def value_row(name: str, run: RunData, reference: RunData, names: tuple[str, str]) -> Row:
     """Return the row of one metric of ``run`` and ``reference``, not judged; divided by `scale_of` the reference's."""
     a, b = run.estimate(name), reference.estimate(name)
     row = _row(name, a, b, missing(""))
@@ -94,7 +91,7 @@ def value_row(name: str, run: Run, reference: Run, names: tuple[str, str]) -> Ro
     )
 
 
-def field_row(name: str, run: BedRunData, reference: BedRunData) -> Row:
+def field_row(name: str, run: RunData, reference: RunData) -> Row:
     """Return the row of the rms difference of two time-mean fields, less what sampling alone would give."""
     try:
         rms, noise = voidage_difference(run.series, reference.series, run.seen.begin, reference.seen.begin)
@@ -125,23 +122,21 @@ def _row(name: str, run: Estimate, reference: Estimate, difference: Estimate, **
     )
 
 
-def scale_of(name: str, reference: float, label: str, run: Run) -> tuple[float | None, str]:
+def scale_of(name: str, reference: float, label: str, run: RunData) -> tuple[float | None, str]:
     """What a difference from ``reference`` is divided by: itself, or a natural scale of ``run`` if it is about zero."""
     unit = metric_unit(name)
     if name in METRICS and METRICS[name].difference == "absolute":
         return 1.0, "absolute"
-    scale, basis = (
-        _natural(name, unit, run) if isinstance(run, RunData) else (1.0, "absolute") if unit == "–" else (0.0, "")
-    )
-    least = NEGLIGIBLE * scale if isinstance(run, RunData) else 0.0
-    if abs(reference) > least:
+    scale, basis = _natural(name, unit, run)
+    if abs(reference) > (NEGLIGIBLE * scale if run.frames is not None else 0.0):
         return abs(reference), f"relative to {label}"
     return (scale, basis) if scale > 0.0 else (None, "")
 
 
 def _natural(name: str, unit: str, run: RunData) -> tuple[float, str]:
-    """Return a natural scale of a metric of a few particles, and what it is; 0 if there is none."""
-    motion = run.trajectory
+    """Return a natural scale of a metric, and what it is; 0 if there is none."""
+    if (motion := run.frames) is None:
+        return (1.0, "absolute") if unit == "–" else (0.0, "")
     speed, radius = float(np.linalg.norm(motion.v, axis=2).max()), float(motion.radius.min())
     length, of_motion = extent(motion.x, motion.radius)
     scales = {

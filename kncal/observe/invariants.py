@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kncal.core.checks import Array
-from kncal.observe.run_data import BedRunData
+from kncal.observe.run_data import RunData
 from kncal.record.series import BedSeries
 from kncal.record.steps import NOT_PASSED_LIMIT, REACTION_LIMIT
 from kncal.scene.gas_limits import COURANT_LARGEST
@@ -41,10 +41,15 @@ class Invariant:
     holds: bool
 
 
-def invariants(run: BedRunData, reference: BedRunData) -> tuple[Invariant, ...]:
-    """Check the invariants of two runs, start-up included; the balance is that of the averages."""
+def invariants(run: RunData, reference: RunData) -> tuple[Invariant, ...]:
+    """Check the invariants of two runs, start-up included; the balance is that of the averages.
+
+    There are none of runs without signals.
+    """
     runs = (run, reference)
-    series = [each.series for each in runs]
+    series = [each.signals for each in runs if each.signals is not None]
+    if len(series) < 2:
+        return ()
 
     def largest(name: str) -> Callable[[BedSeries], float | None]:
         return lambda one: _extreme(getattr(one, name), np.max)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from kncal.observe.averages import BedObservations
 from kncal.observe.estimate import Estimate
 from kncal.observe.row import Row, allowed, difference_text, judge
-from kncal.scene.bed_scene import Gas
+from kncal.observe.run_data import RunData
 from kncal.scene.metrics import metric_text, metric_unit
 
 #: Metric -> how far from the answer a run may be [-]. Coarse cells and coupled steps cost less than half of the first
@@ -17,11 +16,14 @@ ALLOWED = {"ergun_ratio": 0.05, "slip": 0.05, "U_mf": 0.15}
 _LAW = "ErgunWenYu"
 
 
-def known_answers(model: str, seen: BedObservations, gas: Gas | None) -> tuple[Row, ...]:
-    """Return the run of ``model`` against every answer that theory gives: Ergun's gradient, the slip of one particle,
-    U_mf. The source of each is its ``basis``."""
-    if gas is None or gas.drag != _LAW:
+def known_answers(run: RunData) -> tuple[Row, ...]:
+    """Return a run against every answer that theory gives: Ergun's gradient, the slip of one particle, U_mf.
+
+    The source of each is its ``basis``.
+    """
+    if run.signals is None or run.model.scene.gas is None or run.model.scene.gas.drag != _LAW:
         return ()
+    seen = run.seen
     found: list[tuple[str, float, float, float, str]] = []
     if seen.plateaus:
         worst = max(seen.plateaus, key=lambda p: abs(p.ratio - 1.0))
@@ -36,7 +38,7 @@ def known_answers(model: str, seen: BedObservations, gas: Gas | None) -> tuple[R
         branch = curve.falling
         source = f"Ergun's equation at the bed's void fraction of {branch.eps_g:.3f}"
         found.append(("U_mf", branch.U_mf, branch.uncertainty, branch.ergun, source))
-    return tuple(_judge(model, *each) for each in found if each[3] != 0.0)
+    return tuple(_judge(run.model.kind, *each) for each in found if each[3] != 0.0)
 
 
 def _judge(model: str, metric: str, value: float, width: float, answer: float, source: str) -> Row:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -13,14 +13,16 @@ from kncal.core.checks import Array
 from kncal.core.errors import InputError
 from kncal.observe.averages import BedObservations, observe_bed
 from kncal.observe.contacts import Observations
-from kncal.observe.cost import Cost, cost, coupled_cost
+from kncal.observe.cost import Cost, cost
 from kncal.observe.estimate import Estimate, missing
 from kncal.observe.quantities import quantities
 from kncal.record.frames import Trajectory
 from kncal.record.outcome import RunResult
 from kncal.record.series import BedSeries
 from kncal.scene.metrics import FEW_PARTICLES, METRICS, why_not
-from kncal.scene.model import BedModel, Model
+from kncal.scene.model import Plan
+
+_T = TypeVar("_T")
 
 
 class ExactMotion(Protocol):
@@ -33,35 +35,86 @@ class ExactMotion(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class RunData:
-    """One completed run of a few particles.
+    """One completed run: what it recorded, and what is read from that.
 
     Attributes
     ----------
-    model, result, trajectory, observations : what was run, how it ended, its frames, its numbers
+    model, result : what was run, and how it ended; ``result.extra`` of a run with couplings holds what
+        `kncal.observe.cost.EXTRA` names
+    frames, contacts : the motion of a few particles, dense in time during each contact, and what it shows; or None
+    signals : what was recorded per coupling, with its frames; or None
     exact : metric -> value of the exact solution of the same model [SI], or None
     predicted : metric -> predicted relative discretisation error at this dt (worst phase) [-], or None
     motion : the exact motion of the same model, for figures, or None
     cpu_samples : CPU seconds of repeated runs of the same input; empty: only ``result.cpu_seconds``
     """
 
-    model: Model
+    model: Plan[Any]
     result: RunResult
-    trajectory: Trajectory
-    observations: Observations
+    frames: Trajectory | None = None
+    contacts: Observations | None = None
+    signals: BedSeries | None = None
     exact: Mapping[str, float] | None = None
     predicted: Mapping[str, float] | None = None
     motion: ExactMotion | None = None
     cpu_samples: tuple[float, ...] = ()
 
     @property
+    def trajectory(self) -> Trajectory:
+        """``frames``; `InputError` without."""
+        return self._recorded(self.frames, "frames during contacts")
+
+    @property
+    def observations(self) -> Observations:
+        """``contacts``; `InputError` without."""
+        return self._recorded(self.contacts, "single contacts")
+
+    @property
+    def series(self) -> BedSeries:
+        """``signals``; `InputError` without."""
+        return self._recorded(self.signals, "numbers per coupling")
+
+    def _recorded(self, found: _T | None, what: str) -> _T:
+        if found is None:
+            raise InputError(f"{self.result.folder}: the run recorded no {what}: expected a run that does")
+        return found
+
+    @property
     def recorded(self) -> tuple[str, ...]:
         """Names of `kncal.scene.metrics.RECORDS` that the run has."""
-        return FEW_PARTICLES
+        few = () if self.frames is None else FEW_PARTICLES
+        if (series := self.signals) is None:
+            return few
+        has = {
+            "frames": len(series.t_frame) > 0,
+            "series:pressure": series.facts.gas_density > 0.0,
+            "series:forces": bool(np.isfinite(series.floor).any()),
+            "series:particles": True,
+            "series:overlaps": bool(np.isfinite(series.overlap_max).any()),
+            "fields:eps_g": len(series.eps_g) > 0,
+        }
+        return (*few, *(name for name, there in has.items() if there))
+
+    @cached_property
+    def seen(self) -> BedObservations:
+        """What the signals show after the start-up: after ``run.discard`` of the scene, or as detected.
+
+        Raises
+        ------
+        InputError
+            If there are none, or the run is too short for any average.
+        """
+        scene = self.model.scene
+        return observe_bed(self.series, scene.run.discard, scene.gas)
 
     @cached_property
     def estimates(self) -> Mapping[str, Estimate]:
-        """Every metric of the run, with its predicted discretisation error where there is one."""
-        found = {name: self._estimate(name, value) for name, value in self.observations.metrics.items()}
+        """Every metric of the run, also those of installed packages; what means nothing for it is not among them."""
+        found: dict[str, Estimate] = {}
+        if self.contacts is not None:
+            found |= {name: self._estimate(name, value) for name, value in self.contacts.metrics.items()}
+        if self.signals is not None:
+            found |= quantities(self.signals, self.seen)
         return found | added(self)
 
     def _estimate(self, name: str, value: float) -> Estimate:
@@ -72,67 +125,11 @@ class RunData:
 
     def estimate(self, name: str) -> Estimate:
         """Return a metric; one without a value, and why, if the run does not have it."""
-        return self.estimates.get(name) or missing(f"no {name} in the run")
+        return self.estimates.get(name) or missing(self.why_not(name) or f"no {name} in the run")
 
-    @cached_property
-    def cost(self) -> Cost:
-        """What the run cost."""
-        durations = [contact.t_c for contact in self.model.contacts.values()]
-        return cost(self.model.kind, self.result, durations, self.cpu_samples)
-
-
-@dataclass(frozen=True, kw_only=True)
-class BedRunData:
-    """One completed run of a bed.
-
-    Attributes
-    ----------
-    model : BedModel
-    result : RunResult; ``extra`` holds what `kncal.observe.cost.EXTRA` names
-    series : BedSeries
-    """
-
-    model: BedModel
-    result: RunResult
-    series: BedSeries
-
-    @property
-    def recorded(self) -> tuple[str, ...]:
-        """Names of `kncal.scene.metrics.RECORDS` that the run has."""
-        has = {
-            "frames": len(self.series.t_frame) > 0,
-            "series:pressure": self.series.facts.gas_density > 0.0,
-            "series:forces": bool(np.isfinite(self.series.floor).any()),
-            "series:particles": True,
-            "series:overlaps": bool(np.isfinite(self.series.overlap_max).any()),
-            "fields:eps_g": len(self.series.eps_g) > 0,
-        }
-        return tuple(name for name, there in has.items() if there)
-
-    @cached_property
-    def seen(self) -> BedObservations:
-        """What was observed after the start-up: after ``run.discard`` of the scene, or as detected.
-
-        Raises
-        ------
-        InputError
-            If the run is too short for any average.
-        """
-        scene = self.model.scene
-        return observe_bed(self.series, scene.run.discard, scene.gas)
-
-    @cached_property
-    def estimates(self) -> Mapping[str, Estimate]:
-        """Every metric of the run; what means nothing for such a bed is not among them."""
-        return quantities(self.series, self.seen) | added(self)
-
-    def may_have(self, name: str) -> bool:
-        """Whether a metric means something for such a bed."""
-        return not why_not(name, self.seen.kind, self.seen.changes)
-
-    def estimate(self, name: str) -> Estimate:
-        """Return a metric; one without a value, and why, if the run does not have it."""
-        return self.estimates.get(name) or missing(why_not(name, self.seen.kind, self.seen.changes) or "not observed")
+    def why_not(self, name: str) -> str:
+        """Return why a metric means nothing for such a run; "" if it may have it."""
+        return why_not(name, self.seen.kind, self.seen.changes) if self.signals is not None else ""
 
     @cached_property
     def cost(self) -> Cost:
@@ -143,22 +140,10 @@ class BedRunData:
         RunError
             If the result does not say.
         """
-        model = self.model
-        durations = [contact.t_c for contact in model.contacts.values()]
-        return coupled_cost(model.kind, self.result, durations, model.couplings, model.coupling)
-
-    @property
-    def exact(self) -> Mapping[str, float] | None:
-        """None: of a bed there is no exact solution."""
-        return None
-
-    @property
-    def predicted(self) -> Mapping[str, float] | None:
-        """None: nor is its discretisation error predicted."""
-        return None
+        return cost(self.model, self.result, self.cpu_samples)
 
 
-def added(run: RunData | BedRunData) -> dict[str, Estimate]:
+def added(run: RunData) -> dict[str, Estimate]:
     """Return the metrics that installed packages add, of those that need no more than the run recorded."""
     found = {}
     for name, metric in METRICS.items():
@@ -173,8 +158,8 @@ def added(run: RunData | BedRunData) -> dict[str, Estimate]:
     return found
 
 
-def observed(run: BedRunData) -> BedRunData:
-    """Return the run of a bed, observed.
+def observed(run: RunData) -> RunData:
+    """Return a run, observed.
 
     Raises
     ------

@@ -14,7 +14,7 @@ import numpy as np
 
 from kncal.core.checks import Array
 from kncal.observe.quantities import OVERLAP_LIMIT
-from kncal.observe.run_data import BedRunData, RunData
+from kncal.observe.run_data import RunData
 from kncal.physics.calibration import OVERLAP_DOUBTFUL
 from kncal.physics.material import sphere_mass
 from kncal.physics.statistics import MIN_SAMPLES, average, difference, start_up
@@ -59,17 +59,17 @@ class Sign:
     text: str
 
 
-def signs(data: RunData | BedRunData, reference: RunData | BedRunData | None = None) -> tuple[Sign, ...]:
-    """Return what softness did in a completed run; with the ``reference`` (of the same kind) also against it.
+def signs(data: RunData, reference: RunData | None = None) -> tuple[Sign, ...]:
+    """Return what softness did in a completed run; with the ``reference`` (of the same scene) also against it.
 
     Raises
     ------
     InputError
         If a bed ran too short for any average.
     """
-    if isinstance(data, BedRunData):
-        return _bed(data, reference if isinstance(reference, BedRunData) else None)
-    return _contacts(data, reference.model if isinstance(reference, RunData) else None)
+    if data.signals is not None:
+        return _bed(data, reference)
+    return _contacts(data, None if reference is None else reference.model)
 
 
 def sound_speed(contact: PairContact, diameter: float, mass: float) -> float:
@@ -106,7 +106,7 @@ def model_signs(model: BedModel) -> tuple[Sign, ...]:
 # --- beds ---------------------------------------------------------------------
 
 
-def _bed(data: BedRunData, reference: BedRunData | None) -> tuple[Sign, ...]:
+def _bed(data: RunData, reference: RunData | None) -> tuple[Sign, ...]:
     model, series = data.model, data.series
     if not model.contacts or not np.isfinite(series.overlap_max).any():
         return ()
@@ -136,7 +136,7 @@ def _bed_sound(model: BedModel, reference: BedModel | None = None) -> Sign:
     return _sound(fastest[name], name, contact, d, mass, other)
 
 
-def _contact_number(data: BedRunData, reference: BedRunData) -> Sign:
+def _contact_number(data: RunData, reference: RunData) -> Sign:
     """Contacts per particle against the reference: changed if the whole interval is beyond the limit."""
     count = max(data.series.facts.count, 1)
     found = []

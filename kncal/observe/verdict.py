@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from kncal.core.units import plus_minus, quantity
 from kncal.observe.averages import BedObservations
@@ -12,9 +13,9 @@ from kncal.observe.fluidization_curve import Branch
 from kncal.observe.invariants import Invariant
 from kncal.observe.known import known_sentence
 from kncal.observe.row import RMS, Row, allowed, difference_text, needed_end
-from kncal.observe.run_data import BedRunData, RunData
+from kncal.observe.run_data import RunData
 from kncal.scene.gas_limits import COURANT_LARGE
-from kncal.scene.model import BedModel, Model
+from kncal.scene.model import Plan
 
 #: The largest difference without a tolerance is named in the verdict if it is larger than this.
 NOTABLE = 0.01
@@ -60,7 +61,7 @@ def state_of(rows: Iterable[Row], known: Iterable[Row] = ()) -> str:
 
 
 def verdict(
-    runs: tuple[RunData | BedRunData, RunData | BedRunData],
+    runs: tuple[RunData, RunData],
     rows: Sequence[Row],
     exact: Sequence[Row],
     known: Sequence[Row],
@@ -74,7 +75,7 @@ def verdict(
     sentence); attraction, which nearly every damped contact has, is left to the tables.
     """
     models = (runs[0].model, runs[1].model)
-    seen = [run.seen for run in runs if isinstance(run, BedRunData)]
+    seen = [run.seen for run in runs if run.signals is not None]
     missed = [text for each in ("outside", "undecided") if (text := known_sentence(known, each))]
     alike = _judgement(*models, rows, "Models alike" if missed else "Within tolerance")
     sentence, *severe = [*missed, alike]
@@ -105,7 +106,7 @@ def verdict(
 # --- the sentence -------------------------------------------------------------------------------------------------
 
 
-def _judgement(linear: Model | BedModel, hertz: Model | BedModel, rows: Sequence[Row], within: str) -> str:
+def _judgement(linear: Plan[Any], hertz: Plan[Any], rows: Sequence[Row], within: str) -> str:
     laws = ", ".join(dict.fromkeys(c.law for c in hertz.contacts.values())) or hertz.kind
     who = f"in {hertz.scene.name} the linear spring ({spring(linear)})"
     judged = [r for r in rows if r.tolerance is not None]
@@ -153,7 +154,7 @@ def _by_length(row: Row) -> bool:
     return row.basis == RMS or row.run.average is not None
 
 
-def spring(model: Model | BedModel) -> str:
+def spring(model: Plan[Any]) -> str:
     """Return the linear springs of a model in words: "k_n = 100 N/m by mean_overlap"."""
     stiffness = sorted({c.k for c in model.contacts.values()})
     if not stiffness:
@@ -177,7 +178,7 @@ def not_judged(rows: Sequence[Row]) -> list[str]:
     return [f"Largest difference that no tolerance judges: {worst.metric}, {difference_text(worst)}."]
 
 
-def _speed(runs: Sequence[RunData | BedRunData], speed: Speed) -> str:
+def _speed(runs: Sequence[RunData], speed: Speed) -> str:
     linear, hertz = (run.cost for run in runs)
     of = " of the particles" if linear.transport else ""
     text = f"Steps{of}: {linear.steps:,} linear, {hertz.steps:,} Hertz, {gain(speed.steps)}."
@@ -200,7 +201,7 @@ def gain(ratio: float) -> str:
     return f"speed-up {ratio:.2f}" if ratio > 1.0 else f"slow-down {1.0 / ratio:.2f}"
 
 
-def _no_contacts(runs: Sequence[RunData | BedRunData], kind: str) -> str:
+def _no_contacts(runs: Sequence[RunData], kind: str) -> str:
     why = "The particles did not move" if kind == "frozen" else "No contact was to be computed"
     totals = " and ".join(quantity(run.cost.total, "s", 3) for run in runs)
     return f"{why}, so neither model saves anything: the gas took {totals} of CPU time."

@@ -12,7 +12,6 @@ import numpy as np
 from kncal.core.files import write_csv, write_json
 from kncal.core.units import percent, quantity
 from kncal.observe.compare import Comparison
-from kncal.observe.run_data import BedRunData, RunData
 from kncal.physics.methods import METHODS
 from kncal.record.series import write_series_csv
 from kncal.report.figures import draw_bed, draw_calibration, draw_contacts
@@ -55,7 +54,7 @@ _DIFFERENCE = "Difference: linear minus Hertz, relative to Hertz unless the row 
 
 
 def write_report(
-    comparison: Comparison[Any],
+    comparison: Comparison,
     folder: Path,
     *,
     provenance: Mapping[str, Any],
@@ -86,7 +85,7 @@ def write_report(
     scene, said = comparison.reference.model.scene, comparison.verdict
     with report_folder(folder) as drawn:
         album = Album(drawn)
-        if isinstance(comparison.run, BedRunData):
+        if comparison.run.signals is not None:
             texts = tuple(dict.fromkeys((*warnings, *_contact_warnings(comparison))))
             draw_bed(comparison, album)
             middle = _bed_sections(comparison, texts, album)
@@ -106,7 +105,7 @@ def write_report(
     tables = {"metrics.csv": comparison.to_frame(), **{name: table for name, table in tables.items() if len(table)}}
     for name, table in tables.items():
         write_csv(folder / name, table, _units(table))
-    series = ("linear.csv", "hertz.csv") if isinstance(comparison.run, BedRunData) else ()
+    series = ("linear.csv", "hertz.csv") if comparison.run.signals is not None else ()
     source = f" Source: {scene.source}" if scene.source else ""
     page = Page(
         case=scene.name,
@@ -135,7 +134,7 @@ def _rows_section(rows: Rows, remark: str, costs: Table) -> Section:
 
 
 def _contact_sections(
-    comparison: Comparison[RunData], context: Context, accuracy: pd.DataFrame, album: Album
+    comparison: Comparison, context: Context, accuracy: pd.DataFrame, album: Album
 ) -> tuple[Section, ...]:
     scene = comparison.reference.model.scene
     basis = comparison.row("trajectory").basis
@@ -177,7 +176,7 @@ def _contact_sections(
     )
 
 
-def _bed_sections(comparison: Comparison[BedRunData], warnings: tuple[str, ...], album: Album) -> tuple[Section, ...]:
+def _bed_sections(comparison: Comparison, warnings: tuple[str, ...], album: Album) -> tuple[Section, ...]:
     rows = table_of(comparison.rows)
     shown = {row[0].split("\u202f")[0] for row in rows.table.rows}
     remark = (
@@ -212,7 +211,7 @@ def _bed_sections(comparison: Comparison[BedRunData], warnings: tuple[str, ...],
     )
 
 
-def _windows(comparison: Comparison[BedRunData]) -> str:
+def _windows(comparison: Comparison) -> str:
     texts = [
         f"{d.model.kind}: {seen.begin:.3g} to {float(d.series.t[-1]):.3g} s"
         + ("" if seen.begin_by == "given" else f", start-up found in {seen.begin_by}")
@@ -221,7 +220,7 @@ def _windows(comparison: Comparison[BedRunData]) -> str:
     return "; ".join(texts)
 
 
-def _cost_table(comparison: Comparison[Any]) -> Table:
+def _cost_table(comparison: Comparison) -> Table:
     """Return what the runs cost; what none of them has (particles that move, gas) has no lines."""
     rows: list[tuple[str, ...]] = []
     costs, timed = comparison.costs, comparison.speed.cpu is not None
@@ -258,7 +257,7 @@ def _cost_table(comparison: Comparison[Any]) -> Table:
     return Table(("", "linear", "Hertz", "Hertz / linear"), tuple(rows))
 
 
-def _exact_table(comparison: Comparison[RunData]) -> Table:
+def _exact_table(comparison: Comparison) -> Table:
     rows = tuple(
         (
             r.model,
@@ -275,7 +274,7 @@ def _exact_table(comparison: Comparison[RunData]) -> Table:
     return Table(headings, rows, text=(0, 1, 6))
 
 
-def _invariant_table(comparison: Comparison[BedRunData]) -> Table:
+def _invariant_table(comparison: Comparison) -> Table:
     rows = tuple(
         (
             i.name,
@@ -291,7 +290,7 @@ def _invariant_table(comparison: Comparison[BedRunData]) -> Table:
     return Table(("", "", "linear", "Hertz", "limit", ""), rows, text=(0, 1, 5))
 
 
-def _contact_warnings(comparison: Comparison[BedRunData]) -> list[str]:
+def _contact_warnings(comparison: Comparison) -> list[str]:
     """What the calibration says about the pairs, each text once."""
     return [
         f"{'–'.join(pair)}: {warning}"
@@ -325,7 +324,7 @@ def _method(contact: ContactChoice) -> str:
     )
 
 
-def _with_cost(error_table: pd.DataFrame, comparison: Comparison[RunData]) -> pd.DataFrame:
+def _with_cost(error_table: pd.DataFrame, comparison: Comparison) -> pd.DataFrame:
     """The speed–accuracy table with the CPU time of the runs that were made; NaN where none was."""
     table = error_table.copy()
     if not len(table):

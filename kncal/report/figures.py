@@ -13,7 +13,7 @@ from kncal.core.checks import Array
 from kncal.observe.averages import BedObservations
 from kncal.observe.compare import Comparison
 from kncal.observe.contacts import overlaps
-from kncal.observe.run_data import BedRunData, ExactMotion, RunData
+from kncal.observe.run_data import ExactMotion, RunData
 from kncal.physics.material import sphere_mass
 from kncal.record.frames import Trajectory
 from kncal.record.series import BedSeries
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 _POINTS = 600
 
 
-def draw_contacts(comparison: Comparison[RunData], album: Album) -> None:
+def draw_contacts(comparison: Comparison, album: Album) -> None:
     """Draw the first contact of both runs, and their motion."""
     _first_contacts(comparison, album)
     label, paths = _motions(comparison)
@@ -112,7 +112,7 @@ _OBSERVED: Mapping[str, tuple[str, Any, str, str]] = {
 }
 
 
-def draw_bed(comparison: Comparison[BedRunData], album: Album) -> None:
+def draw_bed(comparison: Comparison, album: Album) -> None:
     """Draw every picture that the runs of a bed allow.
 
     The animation is a GIF, its last picture a PNG; with the extra ``kncal[mp4]`` there is an MP4 as well.
@@ -167,7 +167,7 @@ def _animation(runs: Mapping[str, BedSeries], album: Album) -> None:
     )
 
 
-def _first_contacts(comparison: Comparison[RunData], album: Album) -> None:
+def _first_contacts(comparison: Comparison, album: Album) -> None:
     """Draw the first contact of the Hertz run in both models, unless nothing changes in it."""
     contacts = comparison.reference.observations.contacts
     if not contacts:
@@ -283,7 +283,7 @@ def _normal_force(contact: PairContact, delta: Array, rate: Array) -> Array:
     return np.maximum(force, 0.0) if contact.end == "force" else force
 
 
-def _motions(comparison: Comparison[RunData]) -> tuple[str, dict[str, plots.Line]]:
+def _motions(comparison: Comparison) -> tuple[str, dict[str, plots.Line]]:
     """Label and lines of the motion: gap to the wall that is hit first, else the largest displacement."""
     from scipy.interpolate import CubicHermiteSpline
 

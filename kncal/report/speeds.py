@@ -12,7 +12,7 @@ from kncal.core.errors import InputError
 from kncal.core.units import quantity
 from kncal.observe.averages import window_start
 from kncal.observe.impact_speeds import KINDS_OF_IMPACTS, STATISTICS, ImpactSpeeds, bed_impact_speeds
-from kncal.observe.run_data import BedRunData
+from kncal.observe.run_data import RunData
 from kncal.physics.statistics import Interval
 from kncal.report.page import Section, Table
 from kncal.report.style import Album, dress, model_name, new_axes
@@ -31,7 +31,7 @@ _REMARK = (
 )
 
 
-def speeds_section(runs: tuple[BedRunData, ...], album: Album) -> Section:
+def speeds_section(runs: tuple[RunData, ...], album: Album) -> Section:
     """Return the section on the impact speeds of ``runs``, its pictures in ``album``; empty where nothing can meet."""
     sentences: list[str] = []
     rows: list[tuple[str, ...]] = []

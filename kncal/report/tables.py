@@ -6,7 +6,7 @@ from pathlib import Path
 
 from kncal.core.files import write_csv
 from kncal.observe.run_data import RunData
-from kncal.record.paraview import write_particles
+from kncal.record.paraview import write_paraview, write_particles
 
 #: Frames for ParaView are thinned to about this many files.
 PARAVIEW_FRAMES = 500
@@ -47,5 +47,8 @@ def export_tables(data: RunData) -> tuple[Path, Path]:
 
 def export_paraview(data: RunData) -> Path:
     """Write ``paraview/particles.pvd`` with its VTP files into the run's folder; returns the file to open."""
+    folder = data.result.folder / "paraview"
+    if data.signals is not None:
+        return write_paraview(data.signals, folder)
     every = max(1, -(-data.trajectory.step.size // PARAVIEW_FRAMES))
-    return write_particles(data.trajectory, data.result.folder / "paraview", every)
+    return write_particles(data.trajectory, folder, every)

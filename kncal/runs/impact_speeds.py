@@ -18,7 +18,7 @@ from kncal.observe.impact_speeds import (
     enduring,
     stiffness_at,
 )
-from kncal.observe.run_data import BedRunData, RunData
+from kncal.observe.run_data import RunData
 from kncal.physics.material import Pair
 from kncal.runs.workflow import load
 from kncal.scene.bed_scene import PARTICLES, BedScene
@@ -107,12 +107,12 @@ def run_speeds(folder: Path) -> RunSpeeds:
     """
     data = load(folder)
     try:
-        return _of_bed(data) if isinstance(data, BedRunData) else _of_contacts(data)
+        return _of_contacts(data) if data.signals is None else _of_bed(data)
     except InputError as error:
         raise InputError(f"{folder}: {error}") from error
 
 
-def _of_bed(data: BedRunData) -> RunSpeeds:
+def _of_bed(data: RunData) -> RunSpeeds:
     scene, series, species = data.model.scene, data.series, data.model.species
     begin, _, doubt = window_start(series, scene.run.discard)
     speeds = bed_impact_speeds(series, begin, doubt)

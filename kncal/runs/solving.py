@@ -25,7 +25,7 @@ from kncal.engines.liggghts.deck import DATA, DECK, bed_deck, write_deck
 from kncal.engines.loop import gas_setup
 from kncal.engines.settle import packing, to_settle
 from kncal.observe.contacts import observe
-from kncal.observe.run_data import BedRunData, RunData
+from kncal.observe.run_data import RunData
 from kncal.record.liggghts_log import END_MARKER
 from kncal.record.outcome import RunResult
 from kncal.record.series import read_series, series_reaches, write_series_csv
@@ -288,7 +288,7 @@ def start_positions(scene: BedScene, *, tell: Tell | None = None, progress: Prog
     return packing(plan(to_settle(scene), ("linear",))["linear"], kept, tell=tell, progress=progress)
 
 
-def read_run(scene: Scene | BedScene, result: RunResult) -> RunData | BedRunData:
+def read_run(scene: Scene | BedScene, result: RunResult) -> RunData:
     """Read what a completed run of ``scene`` left in its folder.
 
     Raises
@@ -302,7 +302,7 @@ def read_run(scene: Scene | BedScene, result: RunResult) -> RunData | BedRunData
         series = read_series(folder / PIECES)
         if len(series.t) != model.couplings:
             raise ReadError(f"{folder}: {len(series.t)} couplings, expected {model.couplings}; run the case again")
-        return BedRunData(model=model, result=result, series=series)
+        return RunData(model=model, result=result, signals=series)
     planned = plan(scene, (kind,))[kind]
     # another machine's logarithm may differ in the last digit of dt
     for key, found, value, off in (("steps", result.steps, planned.n_steps, 0.0), ("dt", result.dt, planned.dt, 1e-12)):
@@ -312,8 +312,8 @@ def read_run(scene: Scene | BedScene, result: RunResult) -> RunData | BedRunData
     return RunData(
         model=planned,
         result=result,
-        trajectory=trajectory,
-        observations=observe(planned, trajectory),
+        frames=trajectory,
+        contacts=observe(planned, trajectory),
         cpu_samples=tuple(result.extra.get("cpu_samples", ())),
     )
 

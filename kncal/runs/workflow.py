@@ -25,7 +25,7 @@ from kncal.core.scratch import scratch
 from kncal.engines.base import Engine, Progress, Tell
 from kncal.engines.coupled import Coupled
 from kncal.observe.compare import Comparison, compare
-from kncal.observe.run_data import BedRunData, RunData
+from kncal.observe.run_data import RunData
 from kncal.record.outcome import RunResult
 from kncal.runs.folder import (
     REPORT,
@@ -253,7 +253,7 @@ def require_completed(results: Iterable[RunResult]) -> None:
         raise kinds.get(result.status, RunError)(text)
 
 
-def load(folder: Path) -> RunData | BedRunData:
+def load(folder: Path) -> RunData:
     """Read a completed model's run folder back: scene, model, result, and what was recorded.
 
     Raises
@@ -272,23 +272,7 @@ def load(folder: Path) -> RunData | BedRunData:
     return read_run(scene, result)
 
 
-def load_run(folder: Path) -> RunData:
-    """Read a run of a case without gas (see `load`)."""
-    data = load(folder)
-    if not isinstance(data, RunData):
-        raise ReadError(f"{folder}: the run of a bed, expected that of a single contact")
-    return data
-
-
-def load_bed_run(folder: Path) -> BedRunData:
-    """Read a run of a bed (see `load`)."""
-    data = load(folder)
-    if not isinstance(data, BedRunData):
-        raise ReadError(f"{folder}: the run of a single contact, expected that of a bed")
-    return data
-
-
-def load_both(out: Path) -> tuple[Any, Any]:
+def load_both(out: Path) -> tuple[RunData, RunData]:
     """Read the linear and the Hertz run of a case's run folder."""
     missing = [kind for kind in KINDS if not (out / kind).is_dir()]
     if missing:
@@ -296,13 +280,13 @@ def load_both(out: Path) -> tuple[Any, Any]:
     return load_pair(out / "linear", out / "hertz")
 
 
-def load_pair(linear: Path, hertz: Path) -> tuple[Any, Any]:
+def load_pair(linear: Path, hertz: Path) -> tuple[RunData, RunData]:
     """Read a linear and a Hertz run from two folders.
 
     Raises
     ------
     InputError
-        If one of them is of the other model, or one is of a bed and the other is not.
+        If one of them is of the other model.
     """
     runs = load(linear), load(hertz)
     for data, kind in zip(runs, KINDS, strict=True):
@@ -311,19 +295,15 @@ def load_pair(linear: Path, hertz: Path) -> tuple[Any, Any]:
                 f"{data.result.folder} is a {data.model.kind} run: expected the folder of the linear run, then that of "
                 "the Hertz run"
             )
-    if type(runs[0]) is not type(runs[1]):
-        raise InputError(f"{linear} and {hertz}: one is the run of a bed: expected two runs of the same case")
     return runs
 
 
-def compare_runs(linear: Any, hertz: Any) -> Comparison[Any]:
+def compare_runs(linear: RunData, hertz: RunData) -> Comparison:
     """Compare a linear with a Hertz run of the same scene, as `load_pair` returns them."""
-    if isinstance(linear, RunData):
-        linear, hertz = complete(linear), complete(hertz)
-    return compare(linear, hertz)
+    return compare(complete(linear), complete(hertz))
 
 
-def compare_case(out: Path, report: Path | None = None) -> tuple[Comparison[Any], Path]:
+def compare_case(out: Path, report: Path | None = None) -> tuple[Comparison, Path]:
     """Compare the linear and the Hertz run in ``out``; write the report (to OUT/report), return both."""
     comparison = compare_runs(*load_both(out))
     return comparison, report_on(comparison, report or out / REPORT)
@@ -333,38 +313,35 @@ def complete(data: RunData) -> RunData:
     """Add the exact motion and metrics of the same model, where they exist, and the predicted discretisation error."""
     from kncal.observe.truth import exact_metrics, exact_motion, predicted_errors
 
+    if data.contacts is None:
+        return data
     motion = exact_motion(data.model)
     return replace(
         data,
         motion=motion,
         exact=exact_metrics(data.model, motion),
-        predicted=predicted_errors(data.model, data.observations),
+        predicted=predicted_errors(data.model, data.contacts),
     )
 
 
-def remarks(data: RunData | BedRunData) -> tuple[str, ...]:
+def remarks(data: RunData) -> tuple[str, ...]:
     """Return what a user should know about a run that its numbers do not say: that nothing touched."""
-    if isinstance(data, BedRunData) or data.observations.contacts:
+    if data.contacts is None or data.contacts.contacts:
         return ()
     return (f"{data.model.kind}: {no_contact(data.model)}",)
 
 
-def export(data: RunData | BedRunData, *, paraview: bool = False) -> None:
+def export(data: RunData, *, paraview: bool = False) -> None:
     """Write a run's numbers into its folder for other programs: tables, and frames for ParaView if asked for."""
     from kncal.report.tables import export_paraview, export_tables
 
-    if isinstance(data, BedRunData):  # its table is there since the run
-        if paraview:
-            from kncal.record.paraview import write_paraview
-
-            write_paraview(data.series, data.result.folder / "paraview")
-        return
-    export_tables(data)
+    if data.contacts is not None:  # of signals the table is there since the run
+        export_tables(data)
     if paraview:
         export_paraview(data)
 
 
-def report_on(comparison: Comparison[Any], folder: Path) -> Path:
+def report_on(comparison: Comparison, folder: Path) -> Path:
     """Write the report of a comparison, with every table that its scene allows; returns the page's path."""
     from kncal.report.comparison import write_report
     from kncal.report.overview import context_of
@@ -374,7 +351,7 @@ def report_on(comparison: Comparison[Any], folder: Path) -> Path:
     return write_report(
         comparison,
         folder,
-        context=None if isinstance(comparison.run, BedRunData) else context_of(models),
+        context=None if comparison.run.contacts is None else context_of(models),
         warnings=list(warnings_of(models)),
         provenance={r.model.kind: read_manifest(r.result.folder) for r in runs},
     )

@@ -40,8 +40,8 @@ class VariantRun:
     variant : Variant
     status : of `kncal.record.outcome.RunResult` ("completed", "failed", "timed_out" ...), or `REFUSED`
     failure, message : why it did not complete; both empty if it did
-    folder : its model's run folder in the first round, for `kncal.runs.workflow.load_run` or
-        `kncal.runs.workflow.load_bed_run`; None if refused
+    folder : its model's run folder in the first round, for `kncal.runs.workflow.load`; None if
+        refused
     cpu_seconds : CPU time of each round that completed [s]
     wall_seconds : likewise [s]
     steps, dt : of the first round, None if there is no result [-], [s]

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from kncal.observe.compare import Comparison
-    from kncal.observe.run_data import BedRunData, RunData
+    from kncal.observe.run_data import RunData
 
 CSV, PARQUET = "sweep.csv", "sweep.parquet"
 #: Columns behind the values of a run and its model, in this order; metrics, uncertainties, differences follow.
@@ -112,12 +112,12 @@ def _numbers(out: Path, rows: Mapping[str, Row]) -> None:
         rows["linear"] |= _differences(compare(runs["linear"], runs["hertz"]))
 
 
-def _metrics(run: RunData | BedRunData) -> Row:
+def _metrics(run: RunData) -> Row:
     values = {name: found.value for name, found in run.estimates.items()}
     return _finite(values | {f"uncertainty.{name}": found.width for name, found in run.estimates.items()})
 
 
-def _differences(comparison: Comparison[Any]) -> Row:
+def _differences(comparison: Comparison) -> Row:
     found = {row.metric: row.difference for row in comparison.rows}
     values = {f"difference.{name}": each.value for name, each in found.items()}
     values |= {f"difference_uncertainty.{name}": each.width for name, each in found.items()}

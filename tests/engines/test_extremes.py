@@ -19,7 +19,7 @@ from kncal.physics.material import Material
 from kncal.physics.timestep import predict_error, verlet_limit
 from kncal.record.frames import Trajectory
 from kncal.runs.solving import get_engine, plan_checked
-from kncal.runs.workflow import load_run, run_case
+from kncal.runs.workflow import load, run_case
 from kncal.scene.case_file import load_case, parse_case
 from kncal.scene.contact_limits import overlap_at
 from kncal.scene.finding import Finding
@@ -63,7 +63,7 @@ def pair(ratio: float, v: float = 0.5) -> Scene:
 
 def simulate(scene: Scene, folder: Path, kinds: tuple[str, ...] = ("linear", "hertz")) -> dict[str, Outcome]:
     run_case(scene, get_engine("liggghts"), folder, kinds, timeout=60.0)
-    runs = {kind: load_run(folder / kind) for kind in kinds}
+    runs = {kind: load(folder / kind) for kind in kinds}
     return {kind: judge(data.model, data.trajectory) for kind, data in runs.items()}
 
 
@@ -114,7 +114,7 @@ def test_overlap_close_to_the_radius(share: float, tmp_path: Path) -> None:
     assert "overlap-large" in codes(scene)
     (outcome,) = simulate(scene, tmp_path / "run", LINEAR).values()
     assert outcome.stable
-    data = load_run(tmp_path / "run" / "linear")
+    data = load(tmp_path / "run" / "linear")
     allowed = 1.25 * predict_error("linear", 1.0, 50.0).worst["delta_max"]  # a sample of phases: a few per cent low
     assert data.observations.metrics["delta_max"] == pytest.approx(share * r, rel=allowed)
 

@@ -10,7 +10,7 @@ from kncal.core.shipped import folder as resource
 from kncal.observe.compare import compare as compare_runs
 from kncal.observe.run_data import RunData
 from kncal.runs.solving import get_engine
-from kncal.runs.workflow import complete, load_run, require_completed, run_case
+from kncal.runs.workflow import complete, load, require_completed, run_case
 from kncal.scene.case_file import load_case, shipped_cases
 from kncal.scene.model import KINDS
 
@@ -29,7 +29,7 @@ def runs(tmp_path_factory):
         out = root / f"{case}-{engine_name}"
         results = run_case(load_case(case), get_engine(engine_name), out)
         require_completed(results.values())
-        return {kind: complete(load_run(out / kind)) for kind in KINDS}
+        return {kind: complete(load(out / kind)) for kind in KINDS}
 
     return run
 

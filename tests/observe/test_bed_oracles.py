@@ -22,7 +22,6 @@ from kncal.observe.estimate import Estimate, apart
 from kncal.observe.fluidization_curve import PACKED, fluidization_curve
 from kncal.observe.packed_bed import ergun_plateaus
 from kncal.observe.row import Row, judge
-from kncal.observe.run_data import BedRunData
 from kncal.observe.settling import final_velocity
 from kncal.physics.fluidization import (
     ergun_gradient,
@@ -236,7 +235,7 @@ def test_ramps_that_show_only_one_state_are_refused(limits: dict[str, float], me
 def test_averages_of_a_ramp_are_not_judged(tmp_path: Any) -> None:
     data = run_data("hertz", 3, bubble=False)
     U_0 = np.linspace(0.2, 0.8, len(data.series.t))
-    ramp = replace(data, series=replace(data.series, U_0=U_0))
+    ramp = replace(data, signals=replace(data.series, U_0=U_0))
     found = compare(ramp, ramp, {"z_mean": 0.05})
     row = found.row("z_mean")
     assert (row.verdict, row.run.value) == ("missing", None)
@@ -250,13 +249,13 @@ def test_averages_of_a_ramp_are_not_judged(tmp_path: Any) -> None:
     assert json.loads((tmp_path / "c.json").read_text())["theory"]["hertz"]["curve"] is None
 
 
-def both(run: BedSeries, tolerances: dict[str, float], gas: Gas = GAS) -> Comparison[BedRunData]:
+def both(run: BedSeries, tolerances: dict[str, float], gas: Gas = GAS) -> Comparison:
     """A linear and a Hertz run that do the very same."""
     made = []
     for kind in ("linear", "hertz"):
         data = run_data(kind, 3, bubble=False)
         scene = replace(data.model.scene, gas=gas, run=replace(data.model.scene.run, discard=None))
-        made.append(replace(data, model=replace(data.model, scene=scene), series=run))
+        made.append(replace(data, model=replace(data.model, scene=scene), signals=run))
     return compare(*made, tolerances)
 
 

@@ -220,7 +220,7 @@ def test_what_limits_the_contacts_that_happened_is_in_the_verdict():
         data = run_data(kind, {"e_n": 0.9})
         contacts = {pair: replace(c, warnings=texts) for pair, c in data.model.contacts.items()}
         observations = replace(data.observations, contacts=(event,) if met else ())
-        return replace(data, model=replace(data.model, contacts=contacts), observations=observations)
+        return replace(data, model=replace(data.model, contacts=contacts), contacts=observations)
 
     assert list(limited("linear", True).model.named) == [("bead", "floor")]
     said = " ".join(compare(limited("linear", True), limited("hertz", True), {}).verdict.all)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from kncal.observe.softness import secant, signs, sound_speed
 from kncal.physics.impact import dimensionless_impact
 from kncal.runs.solving import get_engine
-from kncal.runs.workflow import load_run, run_case
+from kncal.runs.workflow import load, run_case
 from kncal.scene.case_file import load_scene
 from kncal.scene.load import bottom_overlaps
 from kncal.scene.model import PairContact
@@ -115,7 +115,7 @@ def test_signs_of_one_impact(tmp_path):
         path.parent.mkdir()
         path.write_text(CASE.format(k_n=k_n, end=2.0 * math.pi * math.sqrt(m / k_n)), encoding="utf-8")
         run_case(load_scene(path), get_engine("builtin"), path.parent / "run", ("linear",))
-        data = runs[k_n] = load_run(path.parent / "run" / "linear")
+        data = runs[k_n] = load(path.parent / "run" / "linear")
         found = by_name(signs(data))
         omega = math.sqrt(k_n / m)
         M = float(dimensionless_impact("linear", 0.9, "overlap").x_max)
@@ -137,7 +137,7 @@ def test_a_centre_in_a_wall_is_a_leak():
     x = data.series.x.copy()
     x[3, 17] = (0.01, 0.003, -1e-4)
     x[5, 4] = (0.01, 0.0061, 0.01)
-    through = replace(data, series=replace(data.series, x=x))
+    through = replace(data, signals=replace(data.series, x=x))
     sign = by_name(signs(through))["leaking"]
     assert sign.changed
     assert sign.value == 2.0

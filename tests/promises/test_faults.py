@@ -21,7 +21,7 @@ from kncal.core.process import run_process
 from kncal.engines.liggghts.batch import Liggghts, _version
 from kncal.runs.folder import write_result
 from kncal.runs.solving import get_engine
-from kncal.runs.workflow import load_run, render_case, run_case
+from kncal.runs.workflow import load, render_case, run_case
 from kncal.scene.case_file import load_case
 from kncal.scene.exact import solve
 from kncal.scene.plan import plan
@@ -357,5 +357,5 @@ def test_liggghts_own_spring_is_told_apart_and_read_back(tmp_path: Path) -> None
     run_case(scene, get_engine("liggghts-hooke"), tmp_path / "out", ("linear",))
     folder = tmp_path / "out" / "linear"
     assert json.loads((folder / "manifest.json").read_text())["engine"] == "liggghts-hooke"
-    assert load_run(folder).result.engine == "liggghts-hooke"
+    assert load(folder).result.engine == "liggghts-hooke"
     assert (tmp_path / "out" / LOCK).is_file()

@@ -10,7 +10,7 @@ import pytest
 
 from kncal.core.errors import ReadError
 from kncal.runs.solving import get_engine
-from kncal.runs.workflow import load_both, load_run, run_case
+from kncal.runs.workflow import load, load_both, run_case
 
 
 def test_changed_frames_are_noticed(done: Path) -> None:
@@ -18,10 +18,10 @@ def test_changed_frames_are_noticed(done: Path) -> None:
     frames = done / "linear" / "particles.dump"
     frames.write_bytes((done / "hertz" / "particles.dump").read_bytes())
     with pytest.raises(ReadError, match=r"particles\.dump: changed since the run ended"):
-        load_run(done / "linear")
+        load(done / "linear")
     frames.unlink()
     with pytest.raises(ReadError, match=r"particles\.dump: not there"):
-        load_run(done / "linear")
+        load(done / "linear")
 
 
 @pytest.mark.parametrize("cut", ["first", "last"])
@@ -33,7 +33,7 @@ def test_frames_must_span_the_run_even_where_the_hash_is_right(done: Path, cut: 
     frames.write_text("".join(item + part for part in (parts[1:] if cut == "first" else parts[:-1])))
     edit(folder / "result.json", "files_sha256", {"particles.dump": hashlib.sha256(frames.read_bytes()).hexdigest()})
     with pytest.raises(ReadError, match="frames of step"):
-        load_run(folder)
+        load(folder)
 
 
 def edit(path: Path, key: str, value: object) -> None:
@@ -66,7 +66,7 @@ def edit(path: Path, key: str, value: object) -> None:
 def test_a_record_of_the_wrong_shape_names_file_and_key(done: Path, file: str, key: str, value: object) -> None:
     edit(done / "linear" / file, key, value)
     with pytest.raises(ReadError) as error:
-        load_run(done / "linear")
+        load(done / "linear")
     assert file in str(error.value)
     assert key in str(error.value)
 

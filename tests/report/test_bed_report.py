@@ -209,7 +209,7 @@ def with_impacts(data, particles: float, walls: float):
         impacts=counts,
         impact_sums=np.stack([v.sum(-1), (v**2).sum(-1), (v**3).sum(-1)], axis=-1),
     )
-    return replace(data, series=series)
+    return replace(data, signals=series)
 
 
 def test_impact_speeds_stand_beside_the_one_calibrated_at(comparison, tmp_path):

@@ -73,7 +73,7 @@ def without_dem(scene, **arrays):
         arrays["U"] = np.broadcast_to(np.float32([0.0, 0.0, 1.6]), data.series.U.shape)
         nothing = dict.fromkeys(("floor", "walls", "overlap_max", "overlap_mean", "contacts"), np.full(200, np.nan))
         series = replace(data.series, **(nothing | {"histogram": np.zeros_like(data.series.histogram)} | arrays))
-        runs.append(replace(data, series=series))
+        runs.append(replace(data, signals=series))
     return compare(*runs)
 
 

@@ -45,8 +45,8 @@ def compared(scene: Scene, exact: bool = True) -> Comparison:
         runs[kind] = RunData(
             model=planned,
             result=replace(data.result, dt=planned.dt, steps=planned.n_steps),
-            trajectory=frames,
-            observations=observe(planned, frames),
+            frames=frames,
+            contacts=observe(planned, frames),
             motion=solve(planned, planned.t_end) if exact else None,
         )
     return compare(runs["linear"], runs["hertz"])

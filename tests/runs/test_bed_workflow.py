@@ -21,7 +21,7 @@ from kncal.engines.coupled import Coupled
 from kncal.engines.dpmfoam.adapter_build import find
 from kncal.record.series import BedSeries, read_series
 from kncal.runs.solving import plan_checked
-from kncal.runs.workflow import load_bed_run, run_case
+from kncal.runs.workflow import load, run_case
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import dump_case, load_case
 from kncal.scene.plan import plan
@@ -55,7 +55,7 @@ def whole(tmp_path_factory):
 
 def test_run_keeps_its_invariants(whole):
     for kind in ("linear", "hertz"):
-        data = load_bed_run(whole / kind)
+        data = load(whole / kind)
         series = data.series
         assert len(series.t) == data.model.couplings
         assert series.reaction_error.max() <= 1e-10
@@ -268,7 +268,7 @@ def test_gas_alone_flows_as_a_plug_and_weighs_nothing(tmp_path):
     scene = replace(scene, run=replace(scene.run, frames_every=0.002))
     results = run_case(scene, Coupled(), tmp_path / "run", ("linear",))
     assert results["linear"].status == "completed"
-    series = load_bed_run(tmp_path / "run" / "linear").series
+    series = load(tmp_path / "run" / "linear").series
     assert len(series.t_frame) == 2
     assert np.all(series.eps_g == 1.0)
     np.testing.assert_allclose(series.U[-1][..., 2], scene.gas.U_0, rtol=1e-5)  # solver tolerance

@@ -17,7 +17,7 @@ from kncal.engines.coupled import Coupled
 from kncal.engines.dpmfoam.adapter_build import find
 from kncal.observe.compare import compare
 from kncal.physics.fluidization import relaxation_time
-from kncal.runs.workflow import load_bed_run, run_case
+from kncal.runs.workflow import load, run_case
 from kncal.scene.bed_case_file import load_bed
 from kncal.scene.bed_scene import BedScene
 
@@ -61,7 +61,7 @@ def test_terminal_velocity(name: str, end_time: float, coupling: float, tmp_path
     scene = replace(case, run=replace(case.run, end_time=end_time, coupling=coupling))
     results = run_case(scene, Coupled(), tmp_path / "run", ("linear",))
     assert results["linear"].status == "completed", results
-    data = load_bed_run(tmp_path / "run" / "linear")
+    data = load(tmp_path / "run" / "linear")
     found = compare(data, data, {})  # one run is enough: there is no contact
     final = found.run.seen.final
     assert final is not None and final.settling is not None
@@ -93,7 +93,7 @@ def test_a_large_column_costs_no_more(tmp_path: Path) -> None:
     )
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 15.0
-    data = load_bed_run(out / "linear")
+    data = load(out / "linear")
     final = data.seen.final
     assert final is not None
     assert final.slip == pytest.approx(0.4574, rel=0.01)
@@ -112,7 +112,7 @@ def test_packed_bed(tmp_path: Path) -> None:
     out = tmp_path / "run"
     results = run_case(scene, Coupled(), out)
     assert [r.status for r in results.values()] == ["completed", "completed"], results
-    found = compare(load_bed_run(out / "linear"), load_bed_run(out / "hertz"))
+    found = compare(load(out / "linear"), load(out / "hertz"))
     reference = expected("packed_bed", "ergun_ratio")
     plateaus = found.run.seen.plateaus
     assert [p.U_0 for p in plateaus] == [0.1, 0.3, 0.6]

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kncal.runs.workflow import load_bed_run, load_run
+from kncal.runs.workflow import load
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import dump_case, load_case, load_scene, shipped_cases
 from kncal.scene.needs import decide
@@ -60,7 +60,7 @@ def test_the_motion_stays_in_as_many_dimensions_as_the_rules_say(case: str, tmp_
     )
     folder = found["full"].folder
     assert folder is not None
-    x = load_run(folder).trajectory.x
+    x = load(folder).trajectory.x
     sizes = np.linalg.svd((x - x[0]).reshape(-1, 3), compute_uv=False)
     assert sizes[0] > 0.0
     assert np.all(sizes[needs.dimensions :] <= 1e-12 * sizes[0])
@@ -82,7 +82,7 @@ def test_half_the_step_changes_no_more_than_the_resolution(tmp_path: Path) -> No
     """The measure itself: the error of a run is bounded by what halving its step moves."""
     variants = [Variant(name=f"n{n}", model="linear", changes={"run.steps_per_contact": n}) for n in (50, 100, 400)]
     runs = run_variants("oblique_impact", variants, tmp_path, engine="builtin")
-    coarse, half, fine = (load_run(runs[v.name].folder) for v in variants)  # type: ignore[arg-type]
+    coarse, half, fine = (load(runs[v.name].folder) for v in variants)  # type: ignore[arg-type]
     bound = resolution_of(coarse, half)
     error = resolution_of(coarse, fine)
     for metric in ("spin_out", "tangential_restitution", "trajectory"):
@@ -118,7 +118,7 @@ def test_a_bed_of_one_particle_that_touches_nothing_needs_no_friction(tmp_path: 
         for name, more in (("left-out", ()), ("forced", ("needs.tangential=true",)))
     ]
     runs = run_variants("terminal_velocity", variants, tmp_path)
-    left_out, forced = (load_bed_run(runs[v.name].folder).series for v in variants)  # type: ignore[arg-type]
+    left_out, forced = (load(runs[v.name].folder).series for v in variants)  # type: ignore[arg-type]
     assert np.abs(left_out.v).max() > 0.0
     for name in ("x", "v", "p_in", "drag_z", "z_mean", "kinetic_energy"):
         assert np.array_equal(getattr(left_out, name), getattr(forced, name)), name

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from kncal.core.errors import CaseFileError
-from kncal.runs.workflow import load_bed_run
+from kncal.runs.workflow import load
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import dump_case, load_case
 from kncal.study import Settings, ThreadExecutor, combine, design, grid_axis, read_sweep, run_sweep, sweep_status
@@ -66,7 +66,7 @@ def test_a_stopped_sweep_of_beds_goes_on(bed: Path, tmp_path: Path) -> None:
     assert dict(sweep_status(out).counts) == {"completed": 2}
     for run in made.runs:
         for kind in ("linear", "hertz"):
-            data = load_bed_run(out / "runs" / run / kind)
+            data = load(out / "runs" / run / kind)
             assert len(data.series.t) == data.model.couplings  # each coupling once, before and after the stop
     assert begun
     # gone on with, not begun anew; a model that was stopped before its first coupling had nothing to go on from

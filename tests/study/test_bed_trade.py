@@ -14,7 +14,7 @@ from kncal.engines.settle import to_settle
 from kncal.observe.compare import compare
 from kncal.observe.run_data import observed
 from kncal.record.steps import REACTION_LIMIT
-from kncal.runs.workflow import load_bed_run
+from kncal.runs.workflow import load
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import dump_case, load_case
 from kncal.scene.load import bottom_overlaps
@@ -278,7 +278,7 @@ def test_a_small_bed_is_traded_to_its_end(tmp_path):
     assert gone.cpu_seconds == ()
     assert gone.message
     # the same numbers as a comparison of the same two run folders
-    linear, hertz = (load_bed_run(folder) for folder in folders_of(tmp_path / "trade", hard, reference))
+    linear, hertz = (load(folder) for folder in folders_of(tmp_path / "trade", hard, reference))
     row = compare(linear, hertz).row("z_mean")
     assert hard.errors["z_mean"].error == row.difference.value
     assert hard.cpu_seconds == pytest.approx((linear.result.cpu_seconds,))

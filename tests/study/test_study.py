@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from kncal.core.errors import CaseFileError, InputError
-from kncal.runs.workflow import load_run
+from kncal.runs.workflow import load
 from kncal.study import Variant, removing, run_variants
 
 CASE = """
@@ -61,7 +61,7 @@ def test_every_variant_has_its_own_result_in_the_order_given(case, tmp_path):
     assert all(run.completed and len(run.cpu_seconds) == 2 for run in found.values())
     # four times softer is twice as long a contact, hence half as many steps
     assert found["softer"].dt == pytest.approx(2.0 * found["soft"].dt, rel=1e-12)
-    data = {name: load_run(run.folder) for name, run in found.items()}
+    data = {name: load(run.folder) for name, run in found.items()}
     assert data["soft"].model.between("bead", "floor").k == 1000.0
     assert data["hertz"].model.scene.particles[0].material.young == 2e7
 

@@ -18,7 +18,7 @@ import kncal.study.execute
 import kncal.study.table
 from kncal.core.errors import InputError, ReadError, RunError
 from kncal.core.lock import locked, sign
-from kncal.runs.workflow import load_run
+from kncal.runs.workflow import load
 from kncal.study import (
     Settings,
     ThreadExecutor,
@@ -94,8 +94,8 @@ def test_only_title_and_source_are_left_out_of_the_identity() -> None:
 def test_each_run_is_an_ordinary_run_folder(folder: Path) -> None:
     for run in read_design(folder).runs:
         out = folder / "runs" / run
-        assert load_run(out / "linear").model.scene.name == "bead"
-        assert load_run(out / "hertz").result.status == "completed"
+        assert load(out / "linear").model.scene.name == "bead"
+        assert load(out / "hertz").result.status == "completed"
 
 
 def test_the_same_sweep_again_runs_nothing(case: Path, folder: Path, monkeypatch) -> None:
@@ -144,7 +144,7 @@ def test_a_damaged_run_is_run_again_and_no_other(case: Path, folder: Path, damag
         name: data for name, data in before.items() if run not in name
     }
     assert after.keys() == before.keys()
-    load_run(hertz)
+    load(hertz)
     assert (out / "attempt-1").is_dir() is (damage != "folder")
 
 
@@ -334,7 +334,7 @@ def test_the_table_says_what_the_runs_say(folder: Path) -> None:
         (v, n) for v in (0.5, 1.0) for n in (20, 30)
     }
     for row in table.to_dict("records"):
-        data = load_run(folder / "runs" / row["id"] / row["model"])
+        data = load(folder / "runs" / row["id"] / row["model"])
         assert data.model.scene.contact.v_0 == row["contact.v_0"]
         for name, value in data.observations.metrics.items():
             assert row[name] == value

@@ -9,7 +9,7 @@ from kncal.core.errors import InputError
 from kncal.observe.compare import PREDICTION_MARGIN
 from kncal.physics.impact import dimensionless_impact
 from kncal.runs.solving import get_engine
-from kncal.runs.workflow import load_run, run_case
+from kncal.runs.workflow import load, run_case
 from kncal.scene.case_file import load_scene
 from kncal.scene.plan import plan
 from kncal.study.trade.candidates import contacts, softened, softer_materials
@@ -175,7 +175,7 @@ def test_the_chosen_case_runs_and_repeats_the_error(found, tmp_path):
     assert scene.run.until_bounces == 1
     kind = chosen.candidate.model
     run_case(scene, get_engine("builtin"), tmp_path / "out", (kind,))
-    metrics = load_run(tmp_path / "out" / kind).observations.metrics
+    metrics = load(tmp_path / "out" / kind).observations.metrics
     for metric in ("e_n", "delta_max"):
         # the same steps, but for the end
         assert metrics[metric] == pytest.approx(chosen.errors[metric].value, rel=1e-9)
@@ -293,7 +293,7 @@ def test_a_reference_converges_only_when_it_stands_still(found):
     for n in (100.0, 200.0):
         folders = found.folder.glob("screening/round-1/hertz/runs/*/hertz")
         for folder in folders:
-            data = load_run(folder)
+            data = load(folder)
             scene = data.model.scene
             if scene.run.steps_per_contact == n and "young" not in scene.title:
                 runs[n] = data

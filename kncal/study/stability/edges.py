@@ -9,7 +9,7 @@ from pathlib import Path
 from kncal.core.errors import KncalError, RunError
 from kncal.core.files import write_text
 from kncal.engines.builtin.integrator import integrate
-from kncal.runs.workflow import load_run
+from kncal.runs.workflow import load
 from kncal.scene.case_file import dump_case
 from kncal.study import Variant, run_variants
 from kncal.study.stability.limits import advised_limit, arrangement_limit, impact_limit
@@ -120,7 +120,7 @@ def liggghts_runner(folder: Path, workers: int | None = None) -> Runner:
                 failure = done.failure or "solver-error"
                 outcomes.append(outcome_of_failure(failure, done.message))
                 continue
-            data = load_run(done.folder)
+            data = load(done.folder)
             outcomes.append(judge(data.model, data.trajectory, pressed=probe.pressed))
         return outcomes
 

@@ -11,7 +11,7 @@ from typing import TypeVar
 from kncal.observe.difference import PATHS, metric_names, path_difference, rows_between, value_row
 from kncal.observe.estimate import DOUBT, apart
 from kncal.observe.row import RMS, Row
-from kncal.observe.run_data import BedRunData, RunData
+from kncal.observe.run_data import RunData
 from kncal.observe.truth import exact_metrics, exact_motion, predicted_errors
 from kncal.scene.metrics import metric_unit, split_metric
 from kncal.study.trade.trade import Candidate, Convergence, ErrorSplit, MetricError, Part
@@ -255,7 +255,7 @@ def converge(
 # --- beds ---------------------------------------------------------------------
 
 
-def bed_errors(run: BedRunData, reference: BedRunData, tolerances: Mapping[str, float]) -> dict[str, MetricError]:
+def bed_errors(run: RunData, reference: RunData, tolerances: Mapping[str, float]) -> dict[str, MetricError]:
     """Return the error of every metric of a bed that one of the two runs has, or that has a tolerance.
 
     The uncertainty is the half-width of the 95 % interval of both averages, three times that where one of them is
@@ -282,7 +282,7 @@ def _bed_error(row: Row) -> MetricError:
 
 
 def bed_splits(
-    runs: Iterable[tuple[Candidate, BedRunData, Mapping[str, MetricError]]], reference: BedRunData, steps: float
+    runs: Iterable[tuple[Candidate, RunData, Mapping[str, MetricError]]], reference: RunData, steps: float
 ) -> dict[str, tuple[ErrorSplit, ...]]:
     """Split the errors of each candidate of a bed, metric by metric; see `split`. ``steps``: N of the reference.
 
@@ -299,7 +299,7 @@ def bed_splits(
         hard = reference if c.model == "hertz" else unsoftened
         real = c.model == "hertz" and c.factor == 1.0
         fine = reference if real else at.get((c.model, c.how, c.factor, steps))
-        chain: dict[str, Step[BedRunData]] = {}
+        chain: dict[str, Step[RunData]] = {}
         if c.steps_per_contact != steps:
             chain["discretisation"] = (run, fine)
         if c.factor != 1.0:
@@ -314,10 +314,10 @@ def bed_splits(
     return found
 
 
-def _between_averages(error: MetricError) -> Callable[[BedRunData, BedRunData], Part | None]:
+def _between_averages(error: MetricError) -> Callable[[RunData, RunData], Part | None]:
     scale = abs(error.reference or 0.0) if error.basis.startswith("relative") else 1.0
 
-    def between(a: BedRunData, b: BedRunData) -> Part | None:
+    def between(a: RunData, b: RunData) -> Part | None:
         first, second = a.estimate(error.metric), b.estimate(error.metric)
         if first.value is None or second.value is None or scale == 0.0:
             return None

@@ -69,4 +69,4 @@ class ContactJudge:
 
 
 def _steps(run: RunData) -> float:
-    return run.model.scene.run.steps_per_contact
+    return float(run.model.scene.run.steps_per_contact)

@@ -15,11 +15,11 @@ from kncal.core.awake import awake
 from kncal.core.errors import InputError, ReadError
 from kncal.core.mpi import check_fit
 from kncal.engines.checkpoint import last_checkpoint
-from kncal.observe.run_data import BedRunData, RunData, observed
+from kncal.observe.run_data import RunData, observed
 from kncal.record.series import read_series
 from kncal.runs.folder import read_model_folder, read_result
 from kncal.runs.records import RESULT
-from kncal.runs.workflow import load_run
+from kncal.runs.workflow import load
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.plan import plan
 from kncal.study.runs import VariantRun, run_variants
@@ -104,11 +104,11 @@ class ContactRuns(Runs[RunData]):
     def read(self, name: str, run: VariantRun, folder: Path) -> None:
         """See `Runs.read`."""
         if run.completed:
-            self.data[name] = load_run(folder)
+            self.data[name] = load(folder)
 
 
 @dataclass(kw_only=True)
-class BedRuns(Runs[BedRunData]):
+class BedRuns(Runs[RunData]):
     """Runs of a bed: one that a limit of time stopped goes on from its checkpoint when it is run again.
 
     Attributes
@@ -215,7 +215,7 @@ def spent(folder: Path, status: str, couplings: int) -> tuple[int, float]:
     return checkpoint.coupling, sum(checkpoint.cost.get(name, 0.0) for name in ("dem", "gas", "exchange"))
 
 
-def load_part(folder: Path) -> BedRunData:
+def load_part(folder: Path) -> RunData:
     """Read a run of a bed as far as it came.
 
     Raises
@@ -228,7 +228,7 @@ def load_part(folder: Path) -> BedRunData:
         raise ReadError(f"{folder}: the run of a single contact, expected that of a bed")
     series = read_series(folder / "series")
     model = replace(plan(scene, (kind,))[kind], couplings=len(series.t))
-    return BedRunData(model=model, result=read_result(folder), series=series)
+    return RunData(model=model, result=read_result(folder), signals=series)
 
 
 def _look(stop: Event, *_: object) -> None:

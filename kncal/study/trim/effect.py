@@ -12,9 +12,9 @@ from kncal.core.errors import InputError
 from kncal.observe.cost import CPU_MEASURABLE, CPU_TRUSTED
 from kncal.observe.difference import rows_between
 from kncal.observe.row import Row
-from kncal.observe.run_data import BedRunData, RunData, observed
+from kncal.observe.run_data import RunData, observed
 from kncal.observe.truth import predicted_errors
-from kncal.runs.workflow import load_bed_run, load_run
+from kncal.runs.workflow import load
 from kncal.study import VariantRun
 from kncal.study.trim.base import OFF, CostChange, Effect, Part
 
@@ -29,13 +29,13 @@ _FIRST_ORDER = 2.0
 
 def see_contacts(run: VariantRun) -> RunData:
     """Read a completed run of single contacts, with its predicted discretisation errors."""
-    data = load_run(_folder(run))
+    data = load(_folder(run))
     return replace(data, predicted=predicted_errors(data.model, data.observations))
 
 
-def see_bed(run: VariantRun) -> BedRunData:
+def see_bed(run: VariantRun) -> RunData:
     """Read a completed run of a bed, and observe it."""
-    return observed(load_bed_run(_folder(run)))
+    return observed(load(_folder(run)))
 
 
 def _folder(run: VariantRun) -> Path:
@@ -136,7 +136,7 @@ def _settled(effects: list[Effect]) -> tuple[Effect, ...]:
 
 
 def bed_effects(
-    tried: BedRunData, full: BedRunData, tolerances: Mapping[str, float], lost: Mapping[str, str]
+    tried: RunData, full: RunData, tolerances: Mapping[str, float], lost: Mapping[str, str]
 ) -> tuple[Effect, ...]:
     """Return the change of every quantity of a bed; ``lost``: quantity -> why it cannot be compared."""
     found = [

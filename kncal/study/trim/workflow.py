@@ -16,7 +16,7 @@ from typing import Any
 from kncal.core.checks import in_range, one_of
 from kncal.core.errors import CaseFileError, InputError, RunError
 from kncal.core.files import write_text
-from kncal.observe.run_data import BedRunData, RunData
+from kncal.observe.run_data import RunData
 from kncal.runs.measure_speed import resolve_measured
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import dump_case, load_case
@@ -149,7 +149,7 @@ class _Study:
         self.scene, self.options, self.tolerances, self.rounds = scene, options, tolerances, rounds
         self.path, self._folder, self._on_progress = path, folder, on_progress
         self.runs: dict[str, VariantRun] = {}
-        self._full: RunData | BedRunData | None = None
+        self._full: RunData | None = None
         self._resolution: dict[str, float] = {}
 
     def run(self, variants: Sequence[Variant]) -> None:
@@ -195,10 +195,10 @@ class _Study:
     def effects(self, name: str, lost: Mapping[str, str], part: Part | None = None) -> tuple[Effect, ...]:
         """Return the effects of the completed variant ``name``, by which ``part`` (None: several) is tried."""
         run = self.runs[name]
-        if isinstance(self._full, BedRunData):
-            return bed_effects(see_bed(run), self._full, self.tolerances, lost)
         if self._full is None:
             raise InputError("the full scene was not run")
+        if self._full.signals is not None:
+            return bed_effects(see_bed(run), self._full, self.tolerances, lost)
         return contact_effects(part, see_contacts(run), self._full, self.tolerances, self._resolution)
 
     def result(self, part: Part) -> PartResult:
