@@ -74,13 +74,33 @@ def read(folder: str) -> dict[str, Any]:
     return found
 
 
-def share(error: dict[str, Any] | None) -> str:
+def error(point: dict[str, Any], metric: str) -> tuple[float, float] | None:
+    """Return the error of a point in a metric and its uncertainty, None where it has none."""
+    found = point["errors"].get(metric)
+    if found is None or found["error"] is None:
+        return None
+    return found["error"], found["uncertainty"] or 0.0
+
+
+def share(found: tuple[float, float] | None) -> str:
     """Return an error with its uncertainty [%], with as many digits as the uncertainty leaves."""
-    if error is None or error["error"] is None:
+    if found is None:
         return "–"
-    value, width = 100 * error["error"], 100 * (error["uncertainty"] or 0.0)
+    value, width = 100 * found[0], 100 * found[1]
     digits = 2 if width == 0.0 else min(max(1 - math.floor(math.log10(width)), 0), 3)
     return f"{value:+.{digits}f}±{width:.{digits}f}"
+
+
+def three(value: float, sign: str = "-") -> str:
+    """Return a number with three digits, without an exponent."""
+    return f"{float(f'{value:.3g}'):{sign},.10g}"
+
+
+def span(found: Sequence[tuple[float, float] | None]) -> str:
+    """Return from where to where several errors reach [%], their uncertainties included."""
+    known = [one for one in found if one is not None]
+    low, high = (100 * f(value + sign * width for value, width in known) for f, sign in ((min, -1), (max, 1)))
+    return f"{three(low, '+')} to {three(high, '+')}"
 
 
 def contact(candidate: dict[str, Any]) -> str:
@@ -118,10 +138,8 @@ def cheapest(trade: dict[str, Any], tolerance: float, metrics: Sequence[str]) ->
         return float(statistics.median(point["cpu_seconds"]) if by_cpu else point["steps"])
 
     def sure(point: dict[str, Any]) -> bool:
-        found = [point["errors"].get(metric) for metric in metrics]
-        return all(
-            e and e["error"] is not None and abs(e["error"]) + (e["uncertainty"] or 0) <= tolerance for e in found
-        )
+        found = [error(point, metric) for metric in metrics]
+        return all(one is not None and abs(one[0]) + one[1] <= tolerance for one in found)
 
     inside = [p for p in trade["points"] if p["status"] == "completed" and (p["cpu_seconds"] or not by_cpu) and sure(p)]
     return min(inside, key=price, default=None)
@@ -131,8 +149,8 @@ def _none(trade: dict[str, Any], tolerance: float, metrics: Sequence[str]) -> st
     """Return that nothing is surely inside, and how many may be."""
 
     def out(point: dict[str, Any]) -> bool:
-        found = [e for metric in metrics if (e := point["errors"].get(metric)) and e["error"] is not None]
-        return len(found) < len(metrics) or any(abs(e["error"]) - (e["uncertainty"] or 0) > tolerance for e in found)
+        found = [error(point, metric) for metric in metrics]
+        return any(one is None or abs(one[0]) - one[1] > tolerance for one in found)
 
     done = [point for point in trade["points"] if point["status"] == "completed"]
     return f"none is surely inside; {sum(not out(p) for p in done)} of {len(done)} are undecided"
@@ -140,7 +158,6 @@ def _none(trade: dict[str, Any], tolerance: float, metrics: Sequence[str]) -> st
 
 def savings(trade: dict[str, Any], metrics: Sequence[str]) -> Iterator[list[str]]:
     """Yield, for 1 % and 5 %, the cheapest contact and what it saves over the reference and over Hertz at N = 50."""
-    reference = trade["reference"]
     usual = next((p for p in trade["points"] if contact(p["candidate"]) == "Hertz" and _n(p) == 50), None)
     for tolerance in (0.01, 0.05):
         best = cheapest(trade, tolerance, metrics)
@@ -151,7 +168,7 @@ def savings(trade: dict[str, Any], metrics: Sequence[str]) -> Iterator[list[str]
             f"{100 * tolerance:g} %",
             f"{contact(best['candidate'])}, N = {_n(best):g}",
             stiffness(best),
-            _times(reference, best),
+            _times(trade["reference"], best),
             "–" if usual is None else _times(usual, best),
             changed(best),
         ]
@@ -162,13 +179,13 @@ def _n(point: dict[str, Any]) -> float:
 
 
 def _times(dear: dict[str, Any], cheap: dict[str, Any]) -> str:
-    """Return the saving in steps, and in CPU time round by round where the runs are long enough to tell."""
+    """Return the saving in steps, and in CPU time round by round where it was measured in more than one."""
     ratio = dear["steps"] / cheap["steps"]
-    text = f"{ratio:.3g} × fewer steps" if ratio > 1.0 else f"{1 / ratio:.3g} × more steps" if ratio < 1.0 else "itself"
-    if ratio == 1.0:
-        return text
+    text = f"{three(ratio)} × fewer steps" if ratio > 1.0 else f"{three(1 / ratio)} × more steps"
     rounds = [a / b for a, b in zip(dear["cpu_seconds"], cheap["cpu_seconds"], strict=False) if b > 0]
-    if not rounds:
+    if ratio == 1.0:
+        return "itself"
+    if len(rounds) < 2:
         return text
     middle = statistics.median(rounds)
     if min(rounds) <= 1.0 <= max(rounds):
@@ -177,36 +194,32 @@ def _times(dear: dict[str, Any], cheap: dict[str, Any]) -> str:
         rounds, middle, what = [1 / x for x in rounds], 1 / middle, "as much CPU"
     else:
         what = "less CPU"
-    spread = f" ({min(rounds):.3g}–{max(rounds):.3g})" if len(rounds) > 1 else ""
-    return f"{text}, {middle:.3g} × {what}{spread}"
+    return f"{text}, {middle:.3g} × {what} ({min(rounds):.3g}–{max(rounds):.3g})"
 
 
-def softened(trade: dict[str, Any], steps: float, metrics: Sequence[str]) -> str:
-    """Return the table of the softened contacts at N = ``steps``, the unsoftened ones first."""
-    rows = []
+def softened(trade: dict[str, Any], steps: float, metrics: Sequence[str], with_cpu: bool) -> str:
+    """Return the table of the softened contacts at N = ``steps``, unsoftened ones first, and those without a run."""
+    rows: list[list[str]] = []
+    without: dict[str, list[str]] = {}
     for point in trade["points"]:
         candidate = point["candidate"]
         plain = candidate["how"] in ("softened", "reduced_modulus") or candidate["factor"] == 1.0
         if not plain or _n(point) != steps:
             continue
         if point["status"] != "completed":
-            blank = ["–"] * (3 + len(metrics))
-            rows.append([contact(candidate), *blank, f"{point['status']}: {_reason(point['message'])}"])
+            reason = f"{point['status']} ({point['message'].partition(',')[0]})"
+            without.setdefault(reason, []).append(contact(candidate))
             continue
-        numbers = [stiffness(point), f"{point['steps']:,}", cost(point)]
-        rows.append([contact(candidate), *numbers, *(share(point["errors"].get(m)) for m in metrics), changed(point)])
-    heads = [f"{metric} [%]" for metric in metrics]
-    return table(["contact", "k_n", "steps", "CPU [s]", *heads, "what softness changed"], rows)
+        numbers = [stiffness(point), f"{point['steps']:,}", *([cost(point)] if with_cpu else [])]
+        rows.append([contact(candidate), *numbers, *(share(error(point, m)) for m in metrics), changed(point)])
+    heads = [*(["CPU [s]"] if with_cpu else []), *(f"{metric} [%]" for metric in metrics), "what softness changed"]
+    text = table(["contact", "k_n", "steps", *heads], rows)
+    return "\n\n".join([text, *(f"Not in the table: {'; '.join(names)}: {why}." for why, names in without.items())])
 
 
 def changed(point: dict[str, Any]) -> str:
     """Return the names of the signs of softness of a point."""
     return ", ".join(sign["name"] for sign in point["signs"] if sign["changed"])
-
-
-def _reason(message: str) -> str:
-    """Return the beginning of a reason, up to what was expected instead."""
-    return message.partition(": expected")[0]
 
 
 def figures(page: Path, folder: str, names: Sequence[str]) -> None:
@@ -234,34 +247,33 @@ def falling_particle(page: Path) -> None:
     trade = read(page.stem)
     both = [["motion", *row] for row in savings(trade, MOTION)] + [["contact", *row] for row in savings(trade, CONTACT)]
     fill(page, "savings", table(["what", *SAVINGS], both))
-    fill(page, "softened", softened(trade, 50, (*MOTION, *CONTACT)))
+    fill(page, "softened", softened(trade, 50, ("e_n", "trajectory", *CONTACT), with_cpu=False))
     fill(page, "answer", answer(trade))
     figures(page, page.stem, ("front.png", "split.png", "law.png"))
 
 
 def wall_impact(page: Path) -> None:
     """Fill the page of the wall impact over e_n and v_0."""
-    rows, soft = [], []
+    rows: list[list[str]] = []
+    same: dict[tuple[str, str], dict[str, dict[str, Any]]] = {}
     for words in commands(page):
         values = dict(words[i + 1].split("=") for i, word in enumerate(words) if word == "--set")
-        folder = Path(words[words.index("--out") + 1]).name
-        trade = read(folder)
-        e_n, v_0 = values["contact.e_n"], values["particles.sphere.velocity"].strip("[]").split(",")[2].lstrip("- ")
-        rows += [[e_n, f"{v_0} m/s", *row] for row in savings(trade, ("e_n",))]
+        trade = read(Path(words[words.index("--out") + 1]).name)
+        e_n, v_0 = values["contact.e_n"], values[VELOCITY].strip("[]").split(",")[2].lstrip("- ")
+        # Of the reference only its numbers of steps are of use here: nobody takes so many.
+        rows += [[e_n, v_0, *row[:3], *row[4:]] for row in savings(trade, ("e_n",))]
         for point in trade["points"]:
-            if (
-                point["candidate"]["how"] in ("mean_overlap", "softened")
-                and _n(point) == 50
-                and point["status"] == "completed"
-            ):
-                errors = [share(point["errors"].get(m)) for m in ("e_n", "delta_max", "t_c")]
-                soft.append([e_n, f"{v_0} m/s", contact(point["candidate"]), stiffness(point), *errors, changed(point)])
-    fill(page, "savings", table(["e_n", "v_0", *SAVINGS], rows))
-    fill(
-        page,
-        "softened",
-        table(["e_n", "v_0", "contact", "k_n", "e_n [%]", "delta_max [%]", "t_c [%]", "what softness changed"], soft),
-    )
+            plain = point["candidate"]["how"] in ("mean_overlap", "softened") and point["status"] == "completed"
+            if plain and _n(point) == 50:
+                same.setdefault((e_n, contact(point["candidate"])), {})[v_0] = point
+    fill(page, "savings", table(["e_n", "v_0 [m/s]", *SAVINGS[:3], *SAVINGS[4:]], rows))
+    soft = []
+    for (e_n, name), points in same.items():
+        spans = [span([error(point, metric) for point in points.values()]) for metric in ("e_n", "delta_max", "t_c")]
+        signs = [f"{text} at {v_0} m/s" for v_0, point in points.items() if (text := changed(point))]
+        soft.append([e_n, name, *spans, "; ".join(signs)])
+    heads = ["e_n", "contact", "e_n [%]", "delta_max [%]", "t_c [%]", "what softness changed"]
+    fill(page, "softened", table(heads, soft))
 
 
 def bubbling_bed_mini(page: Path) -> None:
@@ -269,7 +281,7 @@ def bubbling_bed_mini(page: Path) -> None:
     trade = read(page.stem)
     metrics = tuple(trade["tolerances"])
     fill(page, "savings", table(SAVINGS, list(savings(trade, metrics))))
-    fill(page, "softened", softened(trade, min(_n(p) for p in trade["points"]), metrics))
+    fill(page, "softened", softened(trade, min(_n(p) for p in trade["points"]), metrics, with_cpu=True))
     fill(page, "answer", answer(trade))
     figures(page, page.stem, ("front.png",))
 
@@ -282,6 +294,7 @@ SAVINGS = (
     "over Hertz, N = 50",
     "what softness changed",
 )
+VELOCITY = "particles.sphere.velocity"
 STUDIES: dict[str, Callable[[Path], None]] = {
     "falling_particle": falling_particle,
     "wall_impact": wall_impact,
