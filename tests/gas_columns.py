@@ -11,7 +11,7 @@ import pytest
 import pyvista
 
 from kncal.core.checks import Array
-from kncal.engines.coupling import GasSetup
+from kncal.engines.base import GasSetup
 
 RHO_G, MU, G = 1.2, 1.8e-5, 9.81
 D, RHO = 1.2e-3, 1000.0

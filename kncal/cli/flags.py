@@ -14,7 +14,6 @@ from kncal.core.errors import InputError
 
 if TYPE_CHECKING:
     from kncal.engines.base import Engine
-    from kncal.engines.coupled import Coupled
     from kncal.physics.material import Material, Pair
     from kncal.physics.matrix import PairMatrix
     from kncal.scene.bed_scene import BedScene
@@ -121,9 +120,9 @@ class RanksFlags(EngineFlags):
     ] = 1
     oversubscribe: Annotated[bool, Parameter(negative="", help="allow more ranks than cores")] = False
 
-    def solver(self, scene: Scene | BedScene) -> Engine | Coupled:
+    def solver(self, scene: Scene | BedScene) -> Engine:
         """Return the engine that runs this scene; refuses a flag that it would ignore."""
-        from kncal.runs.solving import engine_for
+        from kncal.engines.registry import engine_for
 
         self.check(scene)
         return engine_for(scene, self.engine, self.transport, ranks=self.ranks, oversubscribe=self.oversubscribe)

@@ -22,8 +22,7 @@ from kncal.core.installed import SOLVER_LIMIT, Finding, ask, ask_version, last_l
 from kncal.core.mpi import MPIRUN, run_ranks
 from kncal.core.scratch import scratch
 from kncal.core.shipped import folder
-from kncal.engines.dpmfoam import installed as openfoam
-from kncal.engines.liggghts import installed as liggghts
+from kncal.engines.registry import ENGINES
 
 #: Seconds that rendering may take to draw one sphere.
 RENDER_LIMIT = 8.0
@@ -50,7 +49,8 @@ def examine() -> list[Finding]:
     list of Finding
         Python, packages, solvers, rendering, disk (of the working folder), shipped files, temporary folder.
     """
-    slow: list[Callable[[], Finding]] = [liggghts.look, openfoam.look, _mpirun, _rendering, _slurm]
+    solvers = dict.fromkeys(look for entry in ENGINES.values() for look in entry.programs)
+    slow: list[Callable[[], Finding]] = [*solvers, _mpirun, _rendering, _slurm]
     with ThreadPoolExecutor(len(slow)) as pool:
         started = [pool.submit(look) for look in slow]
         quick = [_python(), *_packages(), _dask(), _adapter()]

@@ -60,7 +60,7 @@ def render(
     case
         A shipped case's name, a case folder or a case.toml.
     """
-    from kncal.runs.solving import README, schedule
+    from kncal.engines.coupled import README
     from kncal.runs.workflow import render_case
     from kncal.scene.limits import warnings_of
 
@@ -72,11 +72,10 @@ def render(
     with show.run_bars({}) as progress_for:
         models = render_case(scene, solver, folder, kinds(model), progress_for=progress_for, tell=show.note)
     for kind, m in models.items():
-        run = schedule(m)
-        gas = f", gas and particles exchange data every {show.quantity(run.interval, 's')}" if run.interval else ""
+        gas = f", gas and particles exchange data every {show.quantity(m.coupling, 's')}" if m.couplings else ""
         show.say(
-            f"{folder / kind}: {run.steps} steps of {show.quantity(run.dt, 's')} to t = "
-            f"{show.quantity(run.t_end, 's')}{gas}"
+            f"{folder / kind}: {m.n_steps} steps of {show.quantity(m.dt, 's')} to t = "
+            f"{show.quantity(m.t_end, 's')}{gas}"
         )
     for text in warnings_of(models):
         show.say(f"  warning: {text}")
@@ -198,7 +197,7 @@ def _run(
     case: str, models: tuple[str, ...], at: CaseFlags, by: RanksFlags, how: RunFlags
 ) -> tuple[Path, dict[str, RunResult]]:
     """Run the models of a case, write their tables; returns the run folder and the results, all completed."""
-    from kncal.runs.solving import check_options, plan_checked, schedule
+    from kncal.runs.solving import check_options, plan_checked
     from kncal.runs.workflow import export, load, require_completed, run_case
     from kncal.scene.limits import warnings_of
 
@@ -212,7 +211,7 @@ def _run(
     planned = plan_checked(scene, models)
     for text in warnings_of(planned):
         show.note(f"warning: {text}")
-    with show.run_bars({kind: schedule(m).interval for kind, m in planned.items()}) as progress_for:
+    with show.run_bars({kind: m.coupling or None for kind, m in planned.items()}) as progress_for:
         results = run_case(
             scene,
             solver,

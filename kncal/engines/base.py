@@ -1,22 +1,33 @@
-"""What an engine is: it renders a model to a folder, runs that folder, and reads the result back."""
+"""What an engine is, and the two sides of a coupled one: the gas and the particles.
+
+Row order: every particle array has one row per particle, in the order of the particles' ids (row i is id i+1), always.
+"""
 
 from __future__ import annotations
 
+import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
-from kncal.core.errors import ReadError
+from kncal import __version__
+from kncal.core.checks import Array
+from kncal.core.disk import blame
+from kncal.core.errors import InputError, KncalError, ReadError, SolverMissingError, failure_of
 from kncal.record.frames import Trajectory
 from kncal.record.liggghts_dump import read_trajectory
 from kncal.record.outcome import RunResult
-from kncal.scene.model import Model
+from kncal.record.steps import DemStep, GasFields, GasStep
+from kncal.scene.bed_scene import BedScene, Jet
+from kncal.scene.model import BedModel, Model
+from kncal.scene.scene import Scene
 
 #: The recorded frames of a run, in its folder.
 FRAMES = "particles.dump"
 
-#: Called while a run goes on with (steps done, steps in all).
+#: Called while a run goes on with (steps done, steps in all), of a coupled one with couplings.
 Progress = Callable[[int, int], None]
 #: Called with a sentence about what is done.
 Tell = Callable[[str], None]
@@ -37,53 +48,116 @@ class Profile:
     environment: Mapping[str, str] = field(default_factory=dict)
 
 
-class Engine(Protocol):
-    """The interface of every engine; `render` writes files, `run` starts the solver, `read` parses.
+class Engine(ABC):
+    """What makes a run of a plan: `render` writes its input, `run` solves it, `read` parses what it left.
 
-    ``ranks`` is the number of processes that share one run.
+    Attributes
+    ----------
+    name : as in `kncal.engines.registry.ENGINES`
+    ranks : number of processes that share one run
+    written_by_run : parts of the input that `run` writes itself: a run folder begins without them
     """
 
     name: str
-    ranks: int
+    ranks: int = 1
+    written_by_run: tuple[str, ...] = ()
 
+    @abstractmethod
     def profile(self) -> Profile:
         """Look for the solver on this machine."""
-        ...
 
-    def render(self, model: Model, folder: Path) -> None:
-        """Write the solver's input for ``model`` into ``folder`` (exists, empty)."""
-        ...
+    def check(self, scene: Scene | BedScene, *, by_hand: bool = False) -> None:
+        """Refuse a scene that this engine cannot run (``by_hand``: that it cannot render).
 
-    def command(self, model: Model) -> tuple[str, ...]:
+        Raises
+        ------
+        InputError
+            Saying why.
+        """
+        if isinstance(scene, BedScene):
+            raise InputError(f"{scene.name}: the engine {self.name} has no gas; expected the engine coupled")
+
+    def start(self, scene: Any, *, tell: Tell | None = None, progress: Progress | None = None) -> Array | None:
+        """Return where the particles of all plans of a scene start (n, 3) [m]; None: where the scene says."""
+        del scene, tell, progress
+        return None
+
+    @abstractmethod
+    def command(self, plan: Any, *, by_hand: bool = False) -> tuple[str, ...]:
         """Return the command that `run` starts in the run's folder."""
-        ...
 
+    @abstractmethod
+    def render(self, plan: Any, folder: Path, *, start: Array | None = None, by_hand: bool = False) -> None:
+        """Write the solver's input for ``plan`` into ``folder`` (exists, empty).
+
+        ``start``: from `start`; ``by_hand``: for a person to run, not for `run`.
+        """
+
+    def resumes_at(self, plan: Any, folder: Path) -> str:
+        """Say where an unfinished run in ``folder`` can resume; empty: nowhere."""
+        del plan, folder
+        return ""
+
+    @abstractmethod
     def run(
         self,
-        model: Model,
+        plan: Any,
         folder: Path,
         *,
+        start: Array | None = None,
         timeout: float | None = None,
         progress: Progress | None = None,
+        resume: bool = False,
         pass_fds: Sequence[int] = (),
     ) -> RunResult:
         """Run what `render` wrote; never raises for a failed run, the status says so.
 
-        A solver process inherits the descriptors ``pass_fds`` (the lock of the run folder).
+        Parameters
+        ----------
+        start : from `start`
+        timeout : wall-clock limit [s]
+        resume : go on from where `resumes_at` says
+        pass_fds : descriptors that a solver's process inherits (the lock of the run folder)
         """
-        ...
 
-    def read(self, model: Model, folder: Path) -> Trajectory:
-        """Read the recorded frames of a completed run."""
-        ...
+    def read(self, plan: Any, folder: Path) -> Trajectory:
+        """Read the recorded frames of a completed run; see `read_frames`."""
+        return read_frames(plan, folder)
 
 
-def run_result(engine: str, model: Model, folder: Path, status: str, **fields: Any) -> RunResult:
+def run_result(engine: str, model: Model | BedModel, folder: Path, status: str, **fields: Any) -> RunResult:
     """Return the result of a run of ``model``; what is not in ``fields`` is empty or zero."""
     rest: dict[str, Any] = {"cpu_seconds": 0.0, "wall_seconds": 0.0, "version": ""} | fields
     return RunResult(
         status=status, engine=engine, model=model.kind, folder=folder, steps=model.n_steps, dt=model.dt, **rest
     )
+
+
+def guarded(
+    engine: str, model: Model | BedModel, folder: Path, work: Callable[[], Mapping[str, Any]], **known: Any
+) -> RunResult:
+    """Return the result of a run that ``work`` does, with the fields that it returns; its errors become a status.
+
+    ``known``: fields that also a failed run has. Without others the costs are those of this thread.
+    """
+    wall, cpu = time.monotonic(), time.thread_time()
+    status, found = "completed", {"version": __version__} | known
+    try:
+        found |= work()
+    except SolverMissingError as error:
+        status, found["message"] = "not_installed", str(error)
+    except KeyboardInterrupt:
+        status, found["message"] = "interrupted", "interrupted by the user"
+    except TimeoutError as error:
+        status, found["message"] = "timed_out", str(error)
+    except MemoryError:
+        status, found["failure"] = "failed", "killed"
+        found["message"] = "out of memory: record fewer frames, or make the run shorter"
+    except (KncalError, OSError) as error:
+        status = "failed"
+        found["failure"], found["message"] = blame(failure_of(error), str(error), folder)
+    costs: dict[str, Any] = {"wall_seconds": time.monotonic() - wall, "cpu_seconds": time.thread_time() - cpu}
+    return run_result(engine, model, folder, **({"status": status} | costs | found))
 
 
 def read_frames(model: Model, folder: Path) -> Trajectory:
@@ -101,3 +175,114 @@ def read_frames(model: Model, folder: Path) -> Trajectory:
     if (first, last) != (0, model.n_steps):
         raise ReadError(f"{path}: frames of step {first} to {last}, expected 0 to {model.n_steps}: not of this run")
     return frames
+
+
+@dataclass(frozen=True, kw_only=True)
+class GasSetup:
+    """All that the gas side needs to know.
+
+    Attributes
+    ----------
+    size : (3,) box [m]; cells : number of cells per axis
+    inlet : superficial velocity through the floor [m/s] (0 with a jet); jet : Jet or None
+    density [kg/m³], viscosity (dynamic) [Pa s], gravity (downwards) [m/s²]
+    step : gas step [s]
+    drag : name of the drag law (`kncal.physics.drag.DRAGS`)
+    walls : "slip" or "noSlip"; front_back : "walls", "periodic" or "layer" (no gas motion in y: patch type empty)
+    parcels_per_particle : 1, 8 or 27
+    """
+
+    size: tuple[float, float, float]
+    cells: tuple[int, int, int]
+    inlet: float
+    jet: Jet | None
+    density: float
+    viscosity: float
+    gravity: float
+    step: float
+    drag: str = "ErgunWenYu"
+    walls: str = "slip"
+    front_back: str = "walls"
+    parcels_per_particle: int = 1
+
+
+def gas_setup(model: BedModel) -> GasSetup | None:
+    """Return what the gas side needs to know, None for a bed without gas."""
+    scene, gas = model.scene, model.scene.gas
+    if gas is None:
+        return None
+    column = scene.column
+    return GasSetup(
+        size=(column.width, column.depth, column.height),
+        cells=column.cells,
+        inlet=gas.inlet_at(0.0),
+        jet=gas.jet,
+        density=gas.density,
+        viscosity=gas.viscosity,
+        gravity=scene.gravity,
+        step=model.gas_step,
+        drag=gas.drag,
+        walls=column.gas_walls,
+        front_back=column.front_back,
+        parcels_per_particle=gas.parcels_per_particle,
+    )
+
+
+class _Side(Protocol):
+    """A solver at work, of the gas or of the particles."""
+
+    def save(self, folder: Path) -> None:
+        """Write the state after the last step into ``folder`` (made if missing)."""
+        ...
+
+    @property
+    def cpu_seconds(self) -> float:
+        """CPU time of the solver's processes so far [s]."""
+        ...
+
+    def close(self) -> None:
+        """End the solver; leaves no process, file descriptor or shared memory behind. May be called twice."""
+        ...
+
+
+class GasSolver(_Side, Protocol):
+    """One gas solver at work. `step` may be called with a changing number of particles."""
+
+    setup: GasSetup
+
+    def step(self, x: Array, v: Array, diameter: Array, density: Array) -> GasStep:
+        """Advance the gas by one step with particles at ``x``, ``v`` (n, 3), of ``diameter``, ``density`` (n,).
+
+        Raises RunError with the solver's own error text if it ends, hangs, or loses a parcel.
+        """
+        ...
+
+    def set_inlet(self, velocity: float) -> None:
+        """Change the superficial inlet velocity for the following steps [m/s]."""
+        ...
+
+    def fields(self) -> GasFields:
+        """Return the gas fields after the last step."""
+        ...
+
+    def load(self, folder: Path) -> None:
+        """Take up a state that `save` of any gas solver wrote, before the first `step`."""
+        ...
+
+
+class ParticleSolver(_Side, Protocol):
+    """The particles at work; `histogram_edges` [m] and `impact_edges` [m/s] as in `kncal.record.facts.BedFacts`."""
+
+    histogram_edges: Array
+    impact_edges: Array
+
+    def state(self) -> tuple[Array, Array]:
+        """Return positions [m] and velocities [m/s], both (n, 3), by id."""
+        ...
+
+    def run(self, steps: int, force: Array) -> DemStep | None:
+        """Hold ``force`` (n, 3) [N] on the particles and run; RunError if the solver ends, hangs or loses particles.
+
+        None: nothing was observed, since nothing moves.
+        """
+        ...

@@ -1,32 +1,53 @@
-"""The engine coupled: DPMFoam and LIGGGHTS together, two transports to the gas, one exchange loop."""
+"""The engine coupled: LIGGGHTS and DPMFoam together; it renders what each needs, and starts both for the one loop."""
 
 from __future__ import annotations
 
 import shutil
-import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from kncal import __version__
+import numpy as np
+
 from kncal.core.checks import Array, one_of
-from kncal.core.disk import blame
-from kncal.core.errors import InputError, KncalError, ReadError, RunError, SolverMissingError, failure_of
+from kncal.core.errors import InputError, ReadError, RunError
 from kncal.core.mpi import MISSING as NO_MPIRUN
 from kncal.core.mpi import MPIRUN, check_ranks
-from kncal.engines.base import Profile
+from kncal.core.shipped import folder as shipped_folder
+from kncal.core.templating import render
+from kncal.engines.base import (
+    Engine,
+    GasSolver,
+    ParticleSolver,
+    Profile,
+    Progress,
+    Tell,
+    gas_setup,
+    guarded,
+)
 from kncal.engines.checkpoint import GAS, PARTICLES, last_checkpoint
-from kncal.engines.coupling import Dem, GasTransport
+from kncal.engines.dpmfoam.adapter_build import AdapterError, find
+from kncal.engines.dpmfoam.case import SOLVER, write_case
 from kncal.engines.dpmfoam.decomposed import divisions as check_divisions
 from kncal.engines.dpmfoam.installed import look as look_for_openfoam
+from kncal.engines.dpmfoam.live import LiveGas
+from kncal.engines.dpmfoam.restart import RestartGas
+from kncal.engines.drive import drive
+from kncal.engines.liggghts.deck import DATA, DECK, bed_deck, write_deck
 from kncal.engines.liggghts.installed import look as look_for_liggghts
-from kncal.engines.loop import CoupledCost, CoupledRun, Progress, gas_setup
+from kncal.engines.liggghts.library import LiggghtsDem
+from kncal.engines.liggghts.library_child import histogram_edges
+from kncal.engines.settle import start_positions
+from kncal.record.liggghts_log import END_MARKER
 from kncal.record.outcome import RunResult
+from kncal.record.series import PIECES, SERIES, read_series, series_reaches, write_series_csv
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.model import BedModel
+from kncal.scene.scene import Scene
 
 TRANSPORTS = ("auto", "live", "restart")
+ALLRUN, README, POSITIONS = "Allrun", "README.txt", "positions.npy"
 
 
 def choose_transport(wanted: str) -> tuple[str, Path | None]:
@@ -42,8 +63,6 @@ def choose_transport(wanted: str) -> tuple[str, Path | None]:
     one_of("transport", wanted, TRANSPORTS)
     if wanted == "restart":
         return wanted, None
-    from kncal.engines.dpmfoam.adapter_build import AdapterError, find
-
     library = find()
     if library is None and wanted == "live":
         raise AdapterError(
@@ -64,7 +83,7 @@ def check_bed_ranks(scene: BedScene, ranks: int) -> None:
         return
     if scene.gas is None:
         raise InputError(f"ranks = {ranks}: only the gas of a bed is shared among ranks, and {scene.name} has none")
-    if scene.particles.count and not scene.particles.frozen:
+    if _moves(scene):
         raise InputError(
             f"ranks = {ranks}: the particles of {scene.name} move, and such a bed runs on one rank: gas and particles "
             "exchange everything through one process after every interval. Expected 1; several cases side by side "
@@ -73,8 +92,35 @@ def check_bed_ranks(scene: BedScene, ranks: int) -> None:
     check_divisions(scene.column.cells, ranks)
 
 
-class Coupled:
-    """One bed by Debian's LIGGGHTS and OpenFOAM.
+def _moves(scene: BedScene) -> bool:
+    return scene.particles.count > 0 and not scene.particles.frozen
+
+
+class Still:
+    """Particles that do not move, or none: a `kncal.engines.base.ParticleSolver` without a solver."""
+
+    cpu_seconds = 0.0
+
+    def __init__(self, positions: Array, diameter: float) -> None:
+        self.histogram_edges, self.impact_edges = histogram_edges(diameter), np.zeros(0)
+        self._state = (positions, np.zeros_like(positions))
+
+    def state(self) -> tuple[Array, Array]:
+        """Return positions [m] and velocities [m/s], both (n, 3)."""
+        return self._state
+
+    def run(self, steps: int, force: Array) -> None:
+        """Leave everything as it is."""
+
+    def save(self, folder: Path) -> None:
+        """Write nothing: where they are stands in the run folder."""
+
+    def close(self) -> None:
+        """End nothing."""
+
+
+class Coupled(Engine):
+    """One scene by Debian's LIGGGHTS and OpenFOAM.
 
     Parameters
     ----------
@@ -91,6 +137,7 @@ class Coupled:
     """
 
     name = "coupled"
+    written_by_run = (GAS, PARTICLES)
 
     def __init__(self, transport: str = "auto", *, ranks: int = 1, oversubscribe: bool = False) -> None:
         self.ranks, self.oversubscribe = check_ranks(ranks, oversubscribe=oversubscribe), oversubscribe
@@ -103,7 +150,7 @@ class Coupled:
         liggghts, openfoam = look_for_liggghts(), look_for_openfoam()
         missing = [f"{f.name} (found: {f.found}; {f.hint})" for f in (liggghts, openfoam) if not f.ok]
         missing += [NO_MPIRUN] if self.ranks > 1 and shutil.which(MPIRUN) is None else []
-        program = shutil.which("DPMFoam")
+        program = shutil.which(SOLVER)
         return Profile(
             engine=self.name,
             program=None if missing or program is None else Path(program),
@@ -111,119 +158,131 @@ class Coupled:
             problem="" if not missing else f"a coupled bed needs {' and '.join(missing)}",
         )
 
+    def check(self, scene: Scene | BedScene, *, by_hand: bool = False) -> None:
+        """Refuse a scene that is not one of gas and many particles, or that cannot run on so many ranks."""
+        if not isinstance(scene, BedScene):
+            raise InputError(f"{scene.name}: the engine {self.name} is for beds; expected liggghts or builtin")
+        if not by_hand:
+            check_bed_ranks(scene, self.ranks)
+
+    def start(self, scene: BedScene, *, tell: Tell | None = None, progress: Progress | None = None) -> Array:
+        """Settle the particles, or take them from the cache; see `kncal.engines.settle.start_positions`."""
+        return start_positions(scene, tell=tell, progress=progress)
+
+    def command(self, plan: BedModel, *, by_hand: bool = False) -> tuple[str, ...]:
+        """Return what runs each side by hand; nothing runs both."""
+        return (f"./{ALLRUN}",) if by_hand else ()
+
+    def render(self, plan: BedModel, folder: Path, *, start: Array | None = None, by_hand: bool = False) -> None:
+        """Write the input of both solvers.
+
+        By hand each side runs alone; the exchange between the two, which kncal makes, is not in it.
+
+        Raises
+        ------
+        RenderError
+            If a solver cannot simulate the plan.
+        """
+        positions = _given(start)
+        if not by_hand:
+            np.save(folder / POSITIONS, positions, allow_pickle=False)
+        if _moves(plan.scene):
+            (folder / PARTICLES).mkdir()
+            write_deck(bed_deck(plan, positions), folder / PARTICLES, steps=plan.n_steps if by_hand else 0)
+        if (setup := gas_setup(plan)) is not None:
+            case = folder / GAS
+            if by_hand:
+                interval = plan.frames_every * plan.gas_steps
+                write_case(
+                    setup,
+                    case,
+                    end_time=plan.t_end,
+                    write_interval=interval,
+                    ranks=self.ranks,
+                    oversubscribe=self.oversubscribe,
+                )
+            else:
+                write_case(setup, case, end_time=setup.step)
+        if by_hand:
+            _write_scripts(plan, folder)
+
+    def resumes_at(self, plan: BedModel, folder: Path) -> str:
+        """Say where an unfinished run can resume: at a whole checkpoint, with the series up to it; empty: nowhere."""
+        found = last_checkpoint(folder, plan.couplings)
+        if found is None or not series_reaches(folder / PIECES, found.coupling):
+            return ""
+        return f"coupling {found.coupling} of {plan.couplings}"
+
     def run(
         self,
-        model: BedModel,
+        plan: BedModel,
         folder: Path,
-        positions: Array,
         *,
+        start: Array | None = None,
         timeout: float | None = None,
         progress: Progress | None = None,
         resume: bool = False,
         pass_fds: Sequence[int] = (),
     ) -> RunResult:
-        """Run ``model`` in ``folder``; never raises for a failed run, the status says so.
+        """Run ``plan`` in ``folder``; never raises for a failed run, the status says so.
 
-        With ``resume`` the run goes on from its last complete checkpoint (from the start if there is none). The solvers
-        inherit the descriptors ``pass_fds`` (the lock of the run folder).
+        With ``resume`` the run goes on from its last complete checkpoint (from the start if there is none).
         """
-        started = time.monotonic()
-        status, message, failure = "completed", "", ""
-        extra: dict[str, Any] = {"transport": self.transport if model.scene.gas else "none"}
-        cpu = 0.0
-        try:
-            cost = self._couple(model, folder, positions, timeout, progress, resume, pass_fds)
-            cpu = cost.dem + cost.gas + cost.exchange
-            extra |= {
-                "couplings": cost.couplings,
-                "cpu_dem": cost.dem,
-                "cpu_gas": cost.gas,
-                "cpu_exchange": cost.exchange,
-            }
-        except SolverMissingError as error:
-            status, message = "not_installed", str(error)
-        except KeyboardInterrupt:
-            status, message = "interrupted", "interrupted by the user"
-        except TimeoutError as error:
-            status, message = "timed_out", str(error)
-        except (KncalError, OSError) as error:
-            status = "failed"
-            failure, message = blame(failure_of(error), str(error), folder)
-        return RunResult(
-            status=status,
-            engine=self.name,
-            model=model.kind,
-            folder=folder,
-            steps=model.couplings * model.steps_per_coupling,
-            dt=model.dt,
-            cpu_seconds=cpu,
-            wall_seconds=time.monotonic() - started,
-            version=__version__,
-            message=message,
-            failure=failure,
-            extra=extra,
-        )
+        transport = {"transport": self.transport if plan.scene.gas else "none"}
 
-    def _couple(
-        self,
-        model: BedModel,
-        folder: Path,
-        positions: Array,
-        timeout: float | None,
-        progress: Progress | None,
-        resume: bool,
-        pass_fds: Sequence[int],
-    ) -> CoupledCost:
-        from kncal.engines.liggghts.library import LiggghtsDem
-        from kncal.engines.liggghts.library_child import histogram_edges
+        def work() -> Mapping[str, Any]:
+            checkpoint = last_checkpoint(folder, plan.couplings) if resume else None
+            first, state, before = 0, None, None
+            if checkpoint is not None:
+                first, state, before = checkpoint.coupling, checkpoint.path, checkpoint.cost
+            for name in (GAS, PARTICLES):
+                _set_aside(folder / name)
+            with ExitStack() as sides:
+                if (gas := self._gas(plan, folder, pass_fds)) is not None:
+                    sides.enter_context(_closing(gas))
+                    if state is not None:
+                        gas.load(state / GAS)
+                particles = _particles(plan, folder, _given(start), first, state, pass_fds)
+                sides.enter_context(_closing(particles))
+                cost = drive(
+                    plan, particles, gas, folder, first=first, before=before, progress=progress, time_limit=timeout
+                )
+            write_series_csv(folder / SERIES, read_series(folder / PIECES))
+            parts = {"cpu_dem": cost.dem, "cpu_gas": cost.gas, "cpu_exchange": cost.exchange}
+            extra = transport | {"couplings": cost.couplings} | parts
+            return {"cpu_seconds": sum(parts.values()), "extra": extra}
 
-        frozen = model.scene.particles.frozen or model.scene.particles.count == 0
-        checkpoint = last_checkpoint(folder, model.couplings) if resume else None
-        first, state = (0, None) if checkpoint is None else (checkpoint.coupling, checkpoint.path)
-        for name in (GAS, PARTICLES):
-            _set_aside(folder / name)
-        dem = None
-        with ExitStack() as sides:
-            if (gas := self._gas(model, folder, pass_fds)) is not None:
-                sides.enter_context(_closing(gas))
-                if state is not None:
-                    gas.load(state / GAS)
-            if not frozen:
-                at = None if state is None else state / PARTICLES
-                start = None if at else positions
-                dem = LiggghtsDem(model, folder / PARTICLES, start, restart=at, pass_fds=pass_fds)
-                sides.enter_context(_closing(dem))
-                if at is not None and dem.step != first * model.steps_per_coupling:
-                    raise ReadError(f"{at}: the state of step {dem.step}, not of coupling {first}; run it with --rerun")
-            run = CoupledRun(
-                model,
-                folder,
-                gas,
-                dem,
-                positions=positions,
-                histogram_edges=histogram_edges(model.scene.particles.diameter),
-                first=first,
-                before=None if checkpoint is None else checkpoint.cost,
-            )
-            cost = run.run(progress, time_limit=timeout)
-        return cost
+        return guarded(self.name, plan, folder, work, cpu_seconds=0.0, extra=transport)
 
-    def _gas(self, model: BedModel, folder: Path, pass_fds: Sequence[int]) -> GasTransport | None:
-        setup = gas_setup(model)
+    def _gas(self, plan: BedModel, folder: Path, pass_fds: Sequence[int]) -> GasSolver | None:
+        setup = gas_setup(plan)
         if setup is None:
             return None
-        if self.transport == "live" and self._library is not None:
-            from kncal.engines.dpmfoam.live import LiveGas
-
-            count = model.scene.particles.count
-            return LiveGas(setup, folder / GAS, self._library, count, pass_fds=pass_fds)
-        from kncal.engines.dpmfoam.restart import RestartGas
-
+        if self._library is not None:
+            return LiveGas(setup, folder / GAS, self._library, plan.scene.particles.count, pass_fds=pass_fds)
         return RestartGas(setup, folder / GAS, ranks=self.ranks, oversubscribe=self.oversubscribe, pass_fds=pass_fds)
 
 
+def _given(start: Array | None) -> Array:
+    return np.zeros((0, 3)) if start is None else start
+
+
+def _particles(
+    plan: BedModel, folder: Path, start: Array, first: int, state: Path | None, pass_fds: Sequence[int]
+) -> ParticleSolver:
+    """Start the particles at ``start``, or at the ``state`` after coupling ``first``."""
+    if not _moves(plan.scene):
+        return Still(start, plan.scene.particles.diameter)
+    at = None if state is None else state / PARTICLES
+    particles = LiggghtsDem(plan, folder / PARTICLES, None if at else start, restart=at, pass_fds=pass_fds)
+    if at is not None and particles.step != first * plan.steps_per_coupling:
+        particles.close()
+        raise ReadError(f"{at}: the state of step {particles.step}, not of coupling {first}; run it with --rerun")
+    return particles
+
+
 @contextmanager
-def _closing(side: GasTransport | Dem) -> Iterator[None]:
+def _closing(side: GasSolver | ParticleSolver) -> Iterator[None]:
     """Close a side at the end; after an error, what closing says (a dead solver is one) does not take its place."""
     try:
         yield
@@ -242,3 +301,30 @@ def _set_aside(folder: Path) -> None:
     while (aside := folder.with_name(f"{folder.name}-{number}")).exists():
         number += 1
     folder.rename(aside)
+
+
+def _write_scripts(plan: BedModel, folder: Path) -> None:
+    """Write what a person starts and reads."""
+    scene, setup = plan.scene, gas_setup(plan)
+    context: dict[str, object] = {
+        "scene": scene.name,
+        "kind": plan.kind,
+        "particles": _moves(scene),
+        "gas": setup is not None,
+        "jet": setup is not None and setup.jet is not None,
+        "ramp": scene.gas is not None and bool(scene.gas.ramp),
+        "deck": DECK,
+        "data": DATA,
+        "dt": plan.dt,
+        "steps": plan.n_steps,
+        "steps_per_coupling": plan.steps_per_coupling,
+        "couplings": plan.couplings,
+        "gas_step": plan.gas_step,
+        "gas_steps": plan.gas_steps,
+        "end_time": plan.t_end,
+        "end_marker": END_MARKER,
+    }
+    for name in (ALLRUN, README):
+        text = render(shipped_folder("templates") / "bed", f"{name}.j2", context)
+        (folder / name).write_text(text, encoding="utf-8")
+    (folder / ALLRUN).chmod(0o755)

@@ -24,6 +24,7 @@ from kncal.core.checks import Array
 from kncal.core.errors import InputError, ReadError, RunError
 from kncal.core.files import replacing, sweep_parts
 from kncal.core.scratch import scratch
+from kncal.core.shipped import cache_folder
 from kncal.core.stopping import check_stop
 from kncal.engines.base import Progress, Tell
 from kncal.engines.liggghts.deck import bed_deck, data_text, deck_text
@@ -31,7 +32,7 @@ from kncal.engines.liggghts.library import LiggghtsDem
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.model import BedModel
 from kncal.scene.placement import PLACEMENTS
-from kncal.scene.plan import MOST_STEPS
+from kncal.scene.plan import MOST_STEPS, plan
 
 #: Settled: mean kinetic energy of a particle below this share of m g d, ...
 RESTING = 1e-5
@@ -44,6 +45,24 @@ PATIENCE = 40.0
 _USUAL = 20  # looks from the end of the fall to rest: measured 12 to 37, for 500 and 3000 particles of e_n 0.5 to 0.97
 _PART = 4_000_000  # particles times steps between two words about progress: a second or two
 _LONG = 10.0  # s; how long it takes is said if it is more
+
+
+def start_positions(scene: BedScene, *, tell: Tell | None = None, progress: Progress | None = None) -> Array:
+    """Return the centres (n, 3) [m] at the start, the same for both models (the packing is cached by its inputs).
+
+    ``tell``, ``progress``: see `packing`.
+    """
+    if scene.particles.count == 0:
+        return np.zeros((0, 3))
+    log = logging.getLogger("kncal")
+    log.info("packing %d particles", scene.particles.count)
+    try:
+        kept = cache_folder() / "packings"
+        kept.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        log.warning("settled packings cannot be kept (%s): each run settles its own", error)
+        kept = None
+    return packing(plan(to_settle(scene), ("linear",))["linear"], kept, tell=tell, progress=progress)
 
 
 def to_settle(scene: BedScene) -> BedScene:

@@ -62,11 +62,11 @@ class BedFacts:
         return self.mass * self.gravity
 
 
-def bed_facts(model: BedModel, histogram_edges: Array, impact_edges: Array | None = None) -> BedFacts:
+def bed_facts(model: BedModel, histogram_edges: Array, impact_edges: Array) -> BedFacts:
     """Collect the facts of a model.
 
     ``histogram_edges`` (bins + 1,) [m] as the particle side counts overlaps; ``impact_edges`` (bins + 1,) [m/s] as it
-    counts impact speeds, None without one.
+    counts impact speeds, empty where it does not.
     """
     scene = model.scene
     column, particles = scene.column, scene.particles
@@ -84,5 +84,5 @@ def bed_facts(model: BedModel, histogram_edges: Array, impact_edges: Array | Non
         jet=bool(scene.gas and scene.gas.jet),
         coupling=model.coupling,
         histogram_edges=tuple(float(edge) for edge in histogram_edges),
-        impact_edges=() if impact_edges is None else tuple(float(edge) for edge in impact_edges),
+        impact_edges=tuple(float(edge) for edge in impact_edges),
     )

@@ -23,6 +23,8 @@ from kncal.core.files import read_json, replacing, write_csv, write_json
 from kncal.record.facts import BedFacts
 from kncal.record.steps import DemStep, GasFields, GasStep
 
+#: Folder of the pieces in a run's folder, and the table of the numbers per coupling beside it.
+PIECES, SERIES = "series", "series.csv"
 #: A piece is written when it holds this much [bytes], or when the last one is this old [s].
 PIECE_BYTES = 16 * 1024**2
 PIECE_SECONDS = 30.0

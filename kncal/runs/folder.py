@@ -17,9 +17,9 @@ import shutil
 import stat
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,7 @@ from kncal.core.records import is_record, read_record
 from kncal.core.templating import foreign_hashes
 from kncal.engines.base import FRAMES, Profile
 from kncal.record.outcome import RunResult
+from kncal.record.series import PIECES, SERIES
 from kncal.runs.records import ATTEMPT, MANIFEST, RESULT, STARTED, CaseManifest, ModelManifest, Result, Started
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import MOST_BYTES, dump_case, load_case
@@ -40,26 +41,10 @@ from kncal.scene.scene import Scene
 CASE, REPORT = "case.toml", "report"
 #: Rows of a run in the table of its sweep (see `kncal.study.table`).
 ROW = "row.json"
-#: What a bed run leaves for its numbers, as ``particles.dump`` of a single contact.
-SERIES = "series.csv"
-PIECES = "series"
 #: Folder in a run folder with the rounds that measured its impact speed (see `kncal.runs.measure_speed`).
 MEASURING = "measuring"
 #: All that kncal puts into a run folder and moves to an attempt; what else is there is somebody's own.
 OURS = (*KINDS, CASE, MANIFEST, REPORT, ROW)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Schedule:
-    """How long a run is: ``steps`` of ``dt`` [s] to ``t_end`` [s]; ``interval`` [s] between gas and particles, or None.
-
-    Progress counts steps, with an interval those.
-    """
-
-    steps: int
-    dt: float
-    t_end: float
-    interval: float | None = None
 
 
 @contextmanager
@@ -205,7 +190,7 @@ def refuse_links(out: Path) -> None:
 
 
 def model_manifest(
-    model: Model | BedModel, folder: Path, profile: Profile, command: list[str], schedule: Schedule, ranks: int = 1
+    model: Model | BedModel, folder: Path, profile: Profile, command: Sequence[str], ranks: int = 1
 ) -> dict[str, Any]:
     """Return what ``manifest.json`` of one model's folder holds: what was rendered, for which solver, by whom."""
     found = (p for p in sorted(folder.rglob("*")) if p.is_file() and p.name != MANIFEST)
@@ -222,14 +207,14 @@ def model_manifest(
             "sha256": sha256(profile.program) if profile.program else "",
             "warning": profile.warning,
         },
-        "command": command,
+        "command": list(command),
         "ranks": ranks,
         "environment": dict(profile.environment),
         "python": platform.python_version(),
         "platform": platform.platform(),
         "dt": model.dt,
-        "steps": schedule.steps,
-        "t_end": schedule.t_end,
+        "steps": model.n_steps,
+        "t_end": model.t_end,
         "contacts": {
             "–".join(model.species.names(pair)): {k: v for k, v in asdict(c).items() if v is not None}
             | {"pairs_of_bodies": model.species.meetings(pair)}

@@ -15,14 +15,15 @@ from kncal.core.errors import CaseFileError, RunError
 from kncal.core.files import write_json
 from kncal.core.units import quantity
 from kncal.engines.base import Tell
+from kncal.engines.registry import engine_for
 from kncal.observe.impact_speeds import STATISTICS, ImpactSpeeds, StiffnessAt
 from kncal.report.speeds import plot_impact_speeds
 from kncal.runs.folder import MEASURING, refuse_foreign
 from kncal.runs.impact_speeds import RunSpeeds, run_speeds
-from kncal.runs.solving import engine_for, guessed_speed, trial
 from kncal.runs.workflow import require_completed, run_case
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.pair_contact import calibration_for
+from kncal.scene.plan import first_impact_speed
 from kncal.scene.scene import MeasuredSpeed, Scene
 
 RECORD, PICTURE = "measured.json", "impact_speeds.png"
@@ -94,7 +95,7 @@ def resolve_measured(
     rounds: list[Round] = []
     for number in range(1, asked.rounds + 1):
         folder = out / MEASURING / f"round-{number}"
-        short = trial(scene, v_0, asked.run_time)
+        short = _trial(scene, v_0, asked.run_time)
         solver = engine_for(scene, engine, transport)
         require_completed(run_case(short, solver, folder, ("linear",), timeout=timeout, tell=tell).values())
         seen = run_speeds(folder / "linear")
@@ -118,10 +119,22 @@ def resolve_measured(
     )
 
 
+def _trial(scene: _S, v_0: float, time: float | None) -> _S:
+    """Return the scene calibrated at ``v_0`` [m/s], which ends at ``time`` [s] (None: as it did)."""
+    contact = replace(scene.contact, v_0=v_0, measured=None)
+    if isinstance(scene, BedScene):
+        end = scene.run.end_time if time is None else time
+        discard = scene.run.discard
+        kept = discard if discard is not None and discard < 0.5 * end else None
+        return replace(scene, contact=contact, run=replace(scene.run, end_time=end, discard=kept, frames_every=end))
+    run = scene.run if time is None else replace(scene.run, until_time=time, until_bounces=None)
+    return replace(scene, contact=contact, run=run)
+
+
 def _start(scene: Scene | BedScene, asked: MeasuredSpeed) -> float:
     if asked.start is not None:
         return asked.start
-    speed = guessed_speed(scene)
+    speed = first_impact_speed(scene)
     if speed is None:
         raise CaseFileError(
             f"{scene.name}: nothing moves towards anything at the start: expected contact.measured.start [m/s], a "

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from kncal.core.checks import in_range, one_of, positive
+from kncal.core.checks import Array, in_range, one_of, positive
 from kncal.core.errors import (
     CaseFileError,
     InputError,
@@ -22,8 +22,7 @@ from kncal.core.errors import (
 )
 from kncal.core.files import write_json
 from kncal.core.scratch import scratch
-from kncal.engines.base import Engine, Progress, Tell
-from kncal.engines.coupled import Coupled
+from kncal.engines.base import Engine, Progress, Tell, run_result
 from kncal.observe.compare import Comparison, compare
 from kncal.observe.run_data import RunData
 from kncal.record.outcome import RunResult
@@ -38,39 +37,32 @@ from kncal.runs.folder import (
 )
 from kncal.runs.records import MANIFEST, RESULT
 from kncal.runs.resume import Earlier, take_up
-from kncal.runs.solving import (
-    PACKING,
-    Bed,
-    Contacts,
-    check_options,
-    plan_checked,
-    read_run,
-    schedule,
-    solving,
-)
+from kncal.runs.solving import check_options, plan_checked, read_run
 from kncal.runs.started import started
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.limits import no_contact, warnings_of
 from kncal.scene.model import KINDS
 from kncal.scene.scene import Scene
 
+#: What a progress callback is asked for besides the models: steps of the settling, in all as far as known.
+PACKING = "packing"
 #: Called for each model with its kind, and with `PACKING`; returns the progress callback of that run.
 ProgressFor = Callable[[str], Progress | None]
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Rendered:
-    """A run folder that is held: its models, what an earlier start left of each, how to run them, the lock."""
+    """A run folder that is held: its models, what an earlier start left of each, where particles start, the lock."""
 
     models: Mapping[str, Any]
     earlier: Mapping[str, Earlier]
-    way: Contacts | Bed
+    start: Array | None
     lock: int
 
 
 def render_case(
     scene: Scene | BedScene,
-    engine: Engine | Coupled,
+    engine: Engine,
     out: Path,
     kinds: Iterable[str] = KINDS,
     *,
@@ -100,7 +92,7 @@ def render_case(
 @contextmanager
 def _rendered(
     scene: Scene | BedScene,
-    engine: Engine | Coupled,
+    engine: Engine,
     out: Path,
     kinds: Iterable[str],
     *,
@@ -111,35 +103,32 @@ def _rendered(
     tell: Tell | None,
 ) -> Iterator[_Rendered]:
     """Render into ``out`` and hold it."""
-    way = solving(scene, engine, by_hand=by_hand)
+    engine.check(scene, by_hand=by_hand)
     models = plan_checked(scene, [one_of("model", kind, KINDS) for kind in kinds])
     profile = engine.profile()
-    way.prepare(tell, progress_for(PACKING) if progress_for else None)
+    start = engine.start(scene, tell=tell, progress=progress_for(PACKING) if progress_for else None)
     with scratch() as draft:
         for kind, model in models.items():
-            way.write(model, draft / kind, by_hand=by_hand)
+            (draft / kind).mkdir()
+            engine.render(model, draft / kind, start=start, by_hand=by_hand)
         with case_folder(scene, out, keep=not rerun, tell=tell) as lock:
             manifests = {
-                kind: model_manifest(
-                    model, draft / kind, profile, way.command(model, by_hand=by_hand), schedule(model), engine.ranks
-                )
+                kind: model_manifest(model, draft / kind, profile, engine.command(model, by_hand=by_hand), engine.ranks)
                 for kind, model in models.items()
             }
-            checkpoints = {kind: way.checkpoint(model, out / kind) for kind, model in models.items()}
+            checkpoints = {kind: engine.resumes_at(model, out / kind) for kind, model in models.items()}
             earlier = take_up(out, manifests, repeat=repeat, checkpoints=checkpoints, tell=tell)
+            left_out = shutil.ignore_patterns(*(() if by_hand else engine.written_by_run))
             for kind, manifest in manifests.items():
                 if earlier[kind].action == "run":
-                    if by_hand:
-                        shutil.copytree(draft / kind, out / kind)
-                    else:
-                        way.place(draft / kind, out / kind)
+                    shutil.copytree(draft / kind, out / kind, ignore=left_out)
                     write_json(out / kind / MANIFEST, manifest)
-            yield _Rendered(models=models, earlier=earlier, way=way, lock=lock)
+            yield _Rendered(models=models, earlier=earlier, start=start, lock=lock)
 
 
 def run_case(
     scene: Scene | BedScene,
-    engine: Engine | Coupled,
+    engine: Engine,
     out: Path,
     kinds: Iterable[str] = KINDS,
     *,
@@ -175,7 +164,7 @@ def run_case(
     check_options(scene, repeat=repeat)
     if timeout is not None:
         positive("timeout", timeout, unit="s")
-    solving(scene, engine)
+    engine.check(scene)
     profile = engine.profile()
     if profile.program is None:
         raise SolverMissingError(profile.problem)
@@ -203,7 +192,7 @@ def run_case(
             for kind in [kind for kind in it.models if kind not in results] * repeat:
                 progress = progress_for(kind) if progress_for else None
                 with started(out / kind):  # a result of an earlier repeat would vouch for what this one is writing
-                    result = _run(it, kind, out / kind, timeout, progress)
+                    result = _run(it, engine, kind, out / kind, timeout, progress)
                     samples[kind].append(result.cpu_seconds)
                     extra = {**result.extra, "cpu_samples": list(samples[kind])}
                     extra |= {"warning": profile.warning} if profile.warning else {}
@@ -216,24 +205,17 @@ def run_case(
     return {kind: results[kind] for kind in KINDS if kind in results}
 
 
-def _run(it: _Rendered, kind: str, folder: Path, timeout: float | None, progress: Progress | None) -> RunResult:
+def _run(
+    it: _Rendered, engine: Engine, kind: str, folder: Path, timeout: float | None, progress: Progress | None
+) -> RunResult:
     """Run one model; one that the user stops has a result, too."""
     model, resume = it.models[kind], it.earlier[kind].action == "resume"
     try:
-        return it.way.run(model, folder, timeout=timeout, progress=progress, resume=resume, pass_fds=(it.lock,))
-    except KeyboardInterrupt:
-        return RunResult(
-            status="interrupted",
-            engine=it.way.engine.name,
-            model=kind,
-            folder=folder,
-            steps=schedule(model).steps,
-            dt=model.dt,
-            cpu_seconds=0.0,
-            wall_seconds=0.0,
-            version="",
-            message="stopped by the user",
+        return engine.run(
+            model, folder, start=it.start, timeout=timeout, progress=progress, resume=resume, pass_fds=(it.lock,)
         )
+    except KeyboardInterrupt:
+        return run_result(engine.name, model, folder, "interrupted", message="stopped by the user")
 
 
 def require_completed(results: Iterable[RunResult]) -> None:

@@ -259,7 +259,7 @@ def _checker(settings: Settings, bed: bool) -> Iterator[Callable[[Scene | BedSce
 
         yield check_bed
         return
-    from kncal.runs.solving import get_engine
+    from kncal.engines.registry import get_engine
     from kncal.scene.plan import plan
 
     engine: Engine = get_engine(settings.engine, ranks=settings.ranks, oversubscribe=settings.oversubscribe)

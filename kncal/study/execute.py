@@ -203,7 +203,7 @@ def _run(sweep: Sweep, scene: Scene | BedScene, out: Path) -> None:
 
 
 def _run_case(sweep: Sweep, scene: Scene | BedScene, out: Path) -> None:
-    from kncal.runs.solving import engine_for
+    from kncal.engines.registry import engine_for
     from kncal.runs.workflow import run_case
 
     run_case(

@@ -141,7 +141,7 @@ def _solver(sweep: Sweep) -> Profile:
 
         profile = Coupled(sweep.transport, ranks=sweep.ranks, oversubscribe=sweep.oversubscribe).profile()
     else:
-        from kncal.runs.solving import get_engine
+        from kncal.engines.registry import get_engine
 
         profile = get_engine(sweep.engine, ranks=sweep.ranks, oversubscribe=sweep.oversubscribe).profile()
     if profile.program is None:

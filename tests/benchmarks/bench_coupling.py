@@ -40,10 +40,10 @@ from coupling_parts import (
     shipped,
 )
 
+from kncal.engines.base import GasSolver
 from kncal.engines.coupled import GAS, Coupled
-from kncal.engines.coupling import GasTransport
 from kncal.engines.dpmfoam.live import LiveGas
-from kncal.engines.loop import Progress, gas_setup
+from kncal.engines.drive import Progress, gas_setup
 from kncal.scene.model import BedModel
 from kncal.scene.placement import lattice
 from kncal.scene.plan import plan
@@ -124,9 +124,9 @@ def one_run(
 class Watched(Coupled):
     """The engine, which lets its gas side be asked afterwards."""
 
-    gas: GasTransport | None = None
+    gas: GasSolver | None = None
 
-    def _gas(self, model: BedModel, folder: Path) -> GasTransport | None:
+    def _gas(self, model: BedModel, folder: Path) -> GasSolver | None:
         self.gas = super()._gas(model, folder)
         return self.gas
 
@@ -231,7 +231,7 @@ def grown(nx: int, ny: int) -> None:
     model = replace(plan(scene, ("linear",))["linear"], couplings=12)
     watch = Watch()
     with tempfile.TemporaryDirectory() as scratch:
-        result = Coupled("live").run(model, Path(scratch) / "run", lattice(scene), progress=watch)
+        result = Coupled("live").run(model, Path(scratch) / "run", start=lattice(scene), progress=watch)
     if result.status != "completed":
         raise SystemExit(result.message)
     first, last = 2, model.couplings  # the first couplings start the gas

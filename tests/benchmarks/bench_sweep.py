@@ -18,9 +18,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from kncal.engines.base import run_result
+from kncal.engines.registry import get_engine
 from kncal.observe.compare import compare
 from kncal.runs.folder import write_result
-from kncal.runs.solving import get_engine
 from kncal.runs.workflow import load_both, run_case
 from kncal.scene.case_file import load_case
 from kncal.scene.plan import plan

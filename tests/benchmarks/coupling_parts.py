@@ -33,7 +33,7 @@ import numpy as np
 
 from kncal.core.checks import Array
 from kncal.core.process import run_process, solver_environment
-from kncal.engines.coupling import GasSetup
+from kncal.engines.base import GasSetup
 from kncal.engines.dpmfoam import adapter_build
 from kncal.engines.dpmfoam.case import SOLVER, case_environment, make_mesh, write_case
 from kncal.engines.dpmfoam.forces import Exchange

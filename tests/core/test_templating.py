@@ -15,10 +15,10 @@ from kncal.core import templating
 from kncal.core.errors import InputError, RenderError
 from kncal.core.shipped import folder as shipped_folder
 from kncal.core.templating import foreign_hashes, plain, trust_templates
+from kncal.engines.registry import get_engine
 from kncal.observe.compare import compare
 from kncal.report.page import page_template
 from kncal.runs.folder import read_manifest
-from kncal.runs.solving import get_engine
 from kncal.runs.workflow import complete, load_both, render_case, report_on, run_case
 from kncal.scene.case_file import load_case
 

@@ -15,10 +15,11 @@ import pytest
 
 from kncal.core.errors import CaseFileError, RenderError, ValidityError
 from kncal.engines.liggghts.batch import Liggghts
+from kncal.engines.registry import get_engine
 from kncal.physics.material import Material
 from kncal.physics.timestep import predict_error, verlet_limit
 from kncal.record.frames import Trajectory
-from kncal.runs.solving import get_engine, plan_checked
+from kncal.runs.solving import plan_checked
 from kncal.runs.workflow import load, run_case
 from kncal.scene.case_file import load_case, parse_case
 from kncal.scene.contact_limits import overlap_at

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from kncal.core.errors import RenderError, RunError
-from kncal.engines.coupling import GasSetup
+from kncal.engines.base import GasSetup
 from kncal.engines.dpmfoam.case import make_mesh, write_case
 from kncal.engines.dpmfoam.grid import Grid
 from kncal.engines.dpmfoam.restart import RestartGas

@@ -9,7 +9,7 @@ import pytest
 from gas_columns import alike, needs_openfoam, packing, setup, weight
 
 from kncal.engines.dpmfoam.restart import RestartGas
-from kncal.engines.interval import gas_interval
+from kncal.engines.drive import gas_interval
 from kncal.record.steps import NOT_PASSED_LIMIT, REACTION_LIMIT
 
 pytestmark = needs_openfoam

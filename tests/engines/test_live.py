@@ -18,7 +18,7 @@ from gas_columns import RHO, VOLUME, G, alike, needs_openfoam, packing, setup
 
 from kncal.core import solver_process
 from kncal.core.errors import InputError, RunError
-from kncal.engines.coupling import GasSetup, GasTransport
+from kncal.engines.base import GasSetup, GasSolver
 from kncal.engines.dpmfoam import adapter_build, memory
 from kncal.engines.dpmfoam.live import LiveGas
 from kncal.engines.dpmfoam.restart import RestartGas
@@ -52,7 +52,7 @@ class Toy:
         self.v = np.zeros_like(self.x)
         self.steps: list[GasStep] = []
 
-    def advance(self, gas: GasTransport, couplings: int) -> None:
+    def advance(self, gas: GasSolver, couplings: int) -> None:
         dt = self.column.step
         for _ in range(couplings):
             step = gas.step(self.x, self.v, *alike(self.x))
@@ -74,7 +74,7 @@ def same(a: list[GasStep], b: list[GasStep]) -> bool:
     return all(np.array_equal(one, other) for left, right in pairs for one, other in zip(left, right, strict=True))
 
 
-def both(column: GasSetup, tmp_path: Path, adapter: Path, story: Callable[[GasTransport, Toy], None]) -> list[Toy]:
+def both(column: GasSetup, tmp_path: Path, adapter: Path, story: Callable[[GasSolver, Toy], None]) -> list[Toy]:
     """Play one story on each transport."""
     toys = []
     for gas in (LiveGas(column, tmp_path / "live", adapter, 2000), RestartGas(column, tmp_path / "restart")):
@@ -88,7 +88,7 @@ def both(column: GasSetup, tmp_path: Path, adapter: Path, story: Callable[[GasTr
 def test_the_transports_agree_to_the_last_bit_over_40_couplings(tmp_path: Path, adapter: Path) -> None:
     fields = []
 
-    def story(gas: GasTransport, toy: Toy) -> None:
+    def story(gas: GasSolver, toy: Toy) -> None:
         gas.set_inlet(0.31)
         toy.advance(gas, 20)
         gas.set_inlet(0.7123456789012345)
@@ -127,7 +127,7 @@ VARIANTS = {
 
 @pytest.mark.parametrize("name", VARIANTS)
 def test_the_transports_agree_in_every_kind_of_column(name: str, tmp_path: Path, adapter: Path) -> None:
-    def story(gas: GasTransport, toy: Toy) -> None:
+    def story(gas: GasSolver, toy: Toy) -> None:
         toy.advance(gas, 3)
         gas.set_inlet(1.9 * (0.3 if gas.setup.jet is None else 5.0))
         toy.advance(gas, 3)

@@ -26,9 +26,9 @@ from kncal.core.mpi import check_fit, check_ranks, cores
 from kncal.core.scratch import hold
 from kncal.engines.coupled import Coupled, check_bed_ranks
 from kncal.engines.liggghts.batch import Liggghts
+from kncal.engines.registry import get_engine
 from kncal.record.frames import Trajectory
 from kncal.runs.folder import read_manifest
-from kncal.runs.solving import get_engine
 from kncal.runs.workflow import run_case
 from kncal.scene.case_file import load_case
 from kncal.scene.model import Model

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from kncal.engines.registry import get_engine
 from kncal.observe.contacts import observe
 from kncal.physics.material import Material
-from kncal.runs.solving import get_engine
 from kncal.scene.plan import plan
 from kncal.scene.scene import ContactChoice, Particle, RunControl, Scene, Wall
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from kncal.core.shipped import folder as resource
+from kncal.engines.registry import get_engine
 from kncal.observe.compare import compare as compare_runs
 from kncal.observe.run_data import RunData
-from kncal.runs.solving import get_engine
 from kncal.runs.workflow import complete, load, require_completed, run_case
 from kncal.scene.case_file import load_case, shipped_cases
 from kncal.scene.model import KINDS

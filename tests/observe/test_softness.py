@@ -11,9 +11,9 @@ from compared_beds import SCENE, run_data
 from hypothesis import given
 from hypothesis import strategies as st
 
+from kncal.engines.registry import get_engine
 from kncal.observe.softness import secant, signs, sound_speed
 from kncal.physics.impact import dimensionless_impact
-from kncal.runs.solving import get_engine
 from kncal.runs.workflow import load, run_case
 from kncal.scene.case_file import load_scene
 from kncal.scene.load import bottom_overlaps

@@ -13,9 +13,9 @@ import pytest
 from kncal import InputError, Material, advise_time_step, advised_steps, calibrate, pair, smallest_restitution
 from kncal.cli import main
 from kncal.core.errors import CaseFileError
+from kncal.engines.registry import get_engine
 from kncal.observe.contacts import observe
 from kncal.physics.timestep import instead_of_zero, predict_error, restitution_error
-from kncal.runs.solving import get_engine
 from kncal.scene.bed_case_file import load_bed
 from kncal.scene.case_file import load_case
 from kncal.scene.limits import check

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from kncal.cli import main
-from kncal.runs.solving import get_engine
+from kncal.engines.registry import get_engine
 from kncal.runs.workflow import run_case
 from kncal.scene.case_file import load_case
 

@@ -28,12 +28,12 @@ pytestmark = pytest.mark.solver
 PROGRAM = """
 import sys
 from pathlib import Path
-import kncal.engines.loop
+import kncal.engines.drive
 from kncal.engines.coupled import Coupled
 from kncal.runs.workflow import run_case
 from kncal.scene.case_file import load_case
 
-kncal.engines.loop.CHECKPOINT_SECONDS = 0.1
+kncal.engines.drive.CHECKPOINT_SECONDS = 0.1
 run_case(load_case(sys.argv[1]), Coupled(sys.argv[3]), Path(sys.argv[2]), ("linear",))
 """
 NUMBERS = ("t", "p_in", "drag_z", "floor", "z_mean", "kinetic_energy", "overlap_max", "momentum_z")

@@ -19,8 +19,8 @@ from kncal.core.errors import InputError, RenderError, RunError, SolverMissingEr
 from kncal.core.lock import LOCK, locked, sign
 from kncal.core.process import run_process
 from kncal.engines.liggghts.batch import Liggghts, _version
+from kncal.engines.registry import get_engine
 from kncal.runs.folder import write_result
-from kncal.runs.solving import get_engine
 from kncal.runs.workflow import load, render_case, run_case
 from kncal.scene.case_file import load_case
 from kncal.scene.exact import solve
@@ -105,7 +105,7 @@ def test_old_results_stay_in_place_when_a_run_is_refused(scene, done: Path, tmp_
             run_case(scene, get_engine("builtin"), done, **options)
 
     class NoDeck(type(get_engine("builtin"))):  # type: ignore[misc]
-        def render(self, model, folder):
+        def render(self, model, folder, **_):
             raise RenderError("no")
 
     with pytest.raises(RenderError):

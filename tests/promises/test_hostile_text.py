@@ -20,13 +20,13 @@ import pytest
 import kncal
 from kncal.core.errors import CaseFileError, ReadError, RenderError
 from kncal.core.shipped import folder as shipped_folder
+from kncal.engines.base import gas_setup
 from kncal.engines.dpmfoam.case import install_state, write_case
 from kncal.engines.dpmfoam.live import _FUNCTIONS
 from kncal.engines.liggghts.deck import bed_deck, deck_text
-from kncal.engines.loop import gas_setup
+from kncal.engines.registry import get_engine
 from kncal.record.openfoam import refuse_code
 from kncal.runs.folder import refuse_links
-from kncal.runs.solving import get_engine
 from kncal.runs.workflow import render_case, run_case
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import load_case, parse_case, shipped_cases

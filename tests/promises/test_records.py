@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from kncal.core.errors import ReadError
-from kncal.runs.solving import get_engine
+from kncal.engines.registry import get_engine
 from kncal.runs.workflow import load, load_both, run_case
 
 

@@ -13,8 +13,8 @@ import pytest
 
 from kncal.cli import main
 from kncal.core.errors import ReadError, RenderError, RunError
+from kncal.engines.registry import get_engine
 from kncal.runs.cleaning import plan_cleaning
-from kncal.runs.solving import get_engine
 from kncal.runs.states import case_states
 from kncal.runs.workflow import load_both, run_case
 from kncal.scene.case_file import load_case

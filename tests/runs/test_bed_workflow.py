@@ -79,13 +79,13 @@ def test_transports_give_the_same_numbers(whole, tmp_path):
 
 def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(whole, tmp_path, monkeypatch):
     # A checkpoint after every coupling, then a stop: what comes after must be what an undisturbed run gives.
-    monkeypatch.setattr("kncal.engines.loop.CHECKPOINT_SECONDS", 0.0)
+    monkeypatch.setattr("kncal.engines.drive.CHECKPOINT_SECONDS", 0.0)
     scene, out = mini(0.01), tmp_path / "stopped"
     results = run_case(scene, Coupled("restart"), out, ("linear",), timeout=1.5)
     assert results["linear"].status == "timed_out"
     stopped = len(read_series(out / "linear" / "series").t)
     assert 0 < stopped < plan(scene)["linear"].couplings
-    monkeypatch.setattr("kncal.engines.loop.CHECKPOINT_SECONDS", 1e9)
+    monkeypatch.setattr("kncal.engines.drive.CHECKPOINT_SECONDS", 1e9)
     said: list[str] = []
     results = run_case(scene, Coupled("restart"), out, ("linear",), tell=said.append)
     assert results["linear"].status == "completed"
@@ -205,7 +205,7 @@ def test_a_killed_gas_solver_is_a_failed_run_and_leaves_nothing(tmp_path):
 
     before = _children("python")
     started = time.monotonic()
-    result = Coupled("live").run(plan(scene)["linear"], folder, lattice(scene), progress=kill)
+    result = Coupled("live").run(plan(scene)["linear"], folder, start=lattice(scene), progress=kill)
     assert killed
     assert result.status == "failed"
     assert "DPMFoam" in result.message
@@ -229,7 +229,7 @@ def test_what_closing_says_does_not_hide_why_a_run_ended(tmp_path):
             os.kill(pid, signal.SIGKILL)
         raise KeyboardInterrupt
 
-    result = Coupled("live").run(plan(scene)["linear"], folder, lattice(scene), progress=kill_and_interrupt)
+    result = Coupled("live").run(plan(scene)["linear"], folder, start=lattice(scene), progress=kill_and_interrupt)
     assert (result.status, result.failure) == ("interrupted", "")
     assert _children("DPMFoam") == []
     assert _children("python") == before

@@ -13,7 +13,7 @@ from kncal.core.errors import KncalError
 from kncal.engines.dpmfoam.case import write_case
 from kncal.engines.liggghts.batch import Liggghts
 from kncal.engines.liggghts.deck import bed_deck, write_deck
-from kncal.engines.loop import gas_setup
+from kncal.engines.base import gas_setup
 from kncal.scene.bed_case_file import parse_bed
 from kncal.scene.case_file import parse_case
 from kncal.scene.limits import check

@@ -10,8 +10,8 @@ import pytest
 import kncal.runs.folder
 from kncal.core.errors import RenderError
 from kncal.core.files import sha256
+from kncal.engines.registry import get_engine
 from kncal.runs.folder import case_folder
-from kncal.runs.solving import get_engine
 from kncal.runs.workflow import load_both, run_case
 from kncal.scene.case_file import load_case
 

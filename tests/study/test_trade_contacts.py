@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from kncal.core.errors import InputError
+from kncal.engines.registry import get_engine
 from kncal.observe.compare import PREDICTION_MARGIN
 from kncal.physics.impact import dimensionless_impact
-from kncal.runs.solving import get_engine
 from kncal.runs.workflow import load, run_case
 from kncal.scene.case_file import load_scene
 from kncal.scene.plan import plan

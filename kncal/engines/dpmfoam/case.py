@@ -17,7 +17,7 @@ from kncal.core.errors import InputError, ReadError, RenderError, RunError, Solv
 from kncal.core.process import ProcessResult, run_process, solver_environment
 from kncal.core.shipped import folder as shipped_folder
 from kncal.core.templating import render
-from kncal.engines.coupling import GasSetup
+from kncal.engines.base import GasSetup
 from kncal.engines.dpmfoam.decomposed import CWD, divisions
 from kncal.engines.dpmfoam.grid import Grid
 from kncal.physics.drag import DRAGS

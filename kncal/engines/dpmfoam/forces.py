@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from kncal.core.checks import Array
 from kncal.core.errors import RunError
-from kncal.engines.coupling import GasSetup
+from kncal.engines.base import GasSetup
 from kncal.engines.dpmfoam.grid import Grid, Labels
 from kncal.physics.drag import DRAGS
 from kncal.record.steps import GasFields, GasStep

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from kncal.core.checks import Array
 from kncal.core.errors import InputError, RunError
-from kncal.engines.coupling import GasSetup
+from kncal.engines.base import GasSetup
 
 Labels = NDArray[np.int32]
 

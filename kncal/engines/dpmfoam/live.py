@@ -15,7 +15,7 @@ from pathlib import Path
 from kncal.core.checks import Array, in_range, positive
 from kncal.core.errors import InputError, RunError
 from kncal.core.solver_process import PeerLostError, SolverProcess
-from kncal.engines.coupling import GasSetup
+from kncal.engines.base import GasSetup
 from kncal.engines.dpmfoam.adapter_build import LIBRARY, AdapterError
 from kncal.engines.dpmfoam.case import (
     SOLVER,

@@ -16,7 +16,7 @@ import numpy as np
 from kncal.core.checks import Array, in_range, positive
 from kncal.core.errors import RunError
 from kncal.core.mpi import check_ranks
-from kncal.engines.coupling import GasSetup
+from kncal.engines.base import GasSetup
 from kncal.engines.dpmfoam.case import (
     INLET,
     SOLVER,

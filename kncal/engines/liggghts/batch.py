@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
-from kncal.core.checks import one_of
-from kncal.core.errors import RunError, failure_of
+from kncal.core.checks import Array, one_of
+from kncal.core.errors import RunError, SolverMissingError
 from kncal.core.mpi import MISSING as NO_MPIRUN
 from kncal.core.mpi import MPIRUN, check_ranks, mpi_command, mpi_environment, run_ranks
 from kncal.core.process import run_process, solver_environment
 from kncal.core.scratch import scratch
-from kncal.engines.base import FRAMES, Profile, Progress, read_frames, run_result
+from kncal.engines.base import FRAMES, Engine, Profile, Progress, guarded
 from kncal.engines.liggghts.deck import DECK, scene_deck, write_deck
 from kncal.engines.liggghts.diagnose import Diagnosis, diagnose_liggghts
 from kncal.engines.liggghts.installed import VERSION
 from kncal.engines.tunnelling import PASSED_THROUGH, passages
-from kncal.record.frames import Trajectory
 from kncal.record.liggghts_log import step_of_line
 from kncal.record.outcome import RunResult
 from kncal.scene.model import Model
@@ -34,7 +34,7 @@ _VERSION = re.compile(r"Version LIGGGHTS-PUBLIC ([0-9][0-9A-Za-z.]*)")
 _BANNER_TIME, _BANNER_SIZE = 10.0, 1 << 16  # [s], [bytes]
 
 
-class Liggghts:
+class Liggghts(Engine):
     """LIGGGHTS-PUBLIC 3.8.0 as packaged by Debian.
 
     Parameters
@@ -57,7 +57,7 @@ class Liggghts:
         self.linear_style = one_of("linear_style", linear_style, LINEAR_STYLES)
         self.ranks = check_ranks(ranks, oversubscribe=oversubscribe)
         self._oversubscribe = oversubscribe
-        #: as `kncal.runs.workflow.get_engine` takes it
+        #: as in `kncal.engines.registry.ENGINES`
         self.name = "liggghts" if linear_style == "hooke/stiffness" else "liggghts-hooke"
 
     def profile(self) -> Profile:
@@ -79,12 +79,11 @@ class Liggghts:
             environment=mpi_environment(solver_environment(), self.ranks),
         )
 
-    def command(self, model: Model) -> tuple[str, ...]:
-        """Return the command that `run` starts in the run's folder; it is the same for every model."""
-        del model
+    def command(self, plan: Model, *, by_hand: bool = False) -> tuple[str, ...]:
+        """Return the command that `run` starts in the run's folder; it is the same for every plan."""
         return mpi_command(_COMMAND, self.ranks, oversubscribe=self._oversubscribe)
 
-    def render(self, model: Model, folder: Path) -> None:
+    def render(self, plan: Model, folder: Path, *, start: Array | None = None, by_hand: bool = False) -> None:
         """Write ``in.liggghts`` and ``Allrun`` into ``folder``.
 
         Raises
@@ -92,30 +91,32 @@ class Liggghts:
         RenderError
             If LIGGGHTS cannot simulate the model, or would do it wrongly without a word; nothing is written.
         """
-        deck = scene_deck(model, self.linear_style)
+        deck = scene_deck(plan, self.linear_style)
         write_deck(deck, folder, ranks=self.ranks, oversubscribe=self._oversubscribe)
 
     def run(
         self,
-        model: Model,
+        plan: Model,
         folder: Path,
         *,
+        start: Array | None = None,
         timeout: float | None = None,
         progress: Progress | None = None,
+        resume: bool = False,
         pass_fds: Sequence[int] = (),
     ) -> RunResult:
         """Run the deck in ``folder``; never raises for a failed run, the status says so."""
         profile = self.profile()
         log = folder / LOG
-        if profile.program is None:
-            return run_result(self.name, model, folder, "not_installed", message=profile.problem)
 
         def on_line(line: str) -> None:
             step = step_of_line(line)
             if progress is not None and step is not None:
-                progress(step, model.n_steps)
+                progress(step, plan.n_steps)
 
-        try:
+        def work() -> Mapping[str, Any]:
+            if profile.program is None:
+                raise SolverMissingError(profile.problem)
             (folder / FRAMES).unlink(missing_ok=True)
             process = run_ranks(
                 _COMMAND,
@@ -128,39 +129,23 @@ class Liggghts:
                 on_line=on_line,
                 pass_fds=pass_fds,
             )
-        except (RunError, OSError) as error:
-            return run_result(
-                self.name,
-                model,
-                folder,
-                "failed",
-                message=str(error),
-                failure=failure_of(error),
-                version=profile.version,
-            )
-        problem = diagnose_liggghts(process, log, folder / FRAMES, model.n_steps, len(model.scene.particles))
-        status = process.status
-        if problem is None and (through := passages(model, self.read(model, folder))):
-            problem = Diagnosis(code=PASSED_THROUGH, message=through[0])
-        if status == "exited":
-            status = "completed" if problem is None else "failed"
-        return run_result(
-            self.name,
-            model,
-            folder,
-            status,
-            cpu_seconds=process.cpu_seconds,
-            wall_seconds=process.wall_seconds,
-            version=profile.version,
-            returncode=process.returncode,
-            message="" if problem is None else problem.message,
-            failure=problem.code if problem is not None and status == "failed" else "",
-            log=log,
-        )
+            problem = diagnose_liggghts(process, log, folder / FRAMES, plan.n_steps, len(plan.scene.particles))
+            if problem is None and (through := passages(plan, self.read(plan, folder))):
+                problem = Diagnosis(code=PASSED_THROUGH, message=through[0])
+            status = process.status
+            if status == "exited":
+                status = "completed" if problem is None else "failed"
+            return {
+                "status": status,
+                "cpu_seconds": process.cpu_seconds,
+                "wall_seconds": process.wall_seconds,
+                "returncode": process.returncode,
+                "message": "" if problem is None else problem.message,
+                "failure": problem.code if problem is not None and status == "failed" else "",
+                "log": log,
+            }
 
-    def read(self, model: Model, folder: Path) -> Trajectory:
-        """Read the recorded frames of a completed run; see `read_frames`."""
-        return read_frames(model, folder)
+        return guarded(self.name, plan, folder, work, cpu_seconds=0.0, version=profile.version)
 
 
 def _find(program: str) -> Path | None:

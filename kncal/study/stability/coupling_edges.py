@@ -21,9 +21,9 @@ from kncal.core.errors import ReadError
 from kncal.core.files import write_json
 from kncal.core.records import Record, is_record, read_record
 from kncal.engines.coupled import Coupled
+from kncal.engines.settle import start_positions
 from kncal.physics.fluidization import relaxation_time
 from kncal.record.series import BedSeries, read_series
-from kncal.runs.solving import start_positions
 from kncal.runs.workflow import require_completed
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.limits import check
@@ -227,7 +227,7 @@ def _run(scene: BedScene, positions: Array, folder: Path, transport: str) -> tup
         if there.exists():  # stopped on its way; this study's own folder
             shutil.rmtree(there)
         there.mkdir(parents=True)
-        result = Coupled(transport).run(model, there, positions, timeout=_TIMEOUT)
+        result = Coupled(transport).run(model, there, start=positions, timeout=_TIMEOUT)
         if result.status in ("interrupted", "not_installed"):
             require_completed([result])
         write_json(record, {"status": result.failure or result.status, "message": result.message})

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from kncal.core.checks import one_of
 from kncal.core.errors import SolverMissingError
-from kncal.runs.solving import get_engine
+from kncal.engines.registry import get_engine
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.model import KINDS
 from kncal.scene.scene import Scene
