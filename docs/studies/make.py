@@ -255,25 +255,27 @@ def falling_particle(page: Path) -> None:
 def wall_impact(page: Path) -> None:
     """Fill the page of the wall impact over e_n and v_0."""
     rows: list[list[str]] = []
-    same: dict[tuple[str, str], dict[str, dict[str, Any]]] = {}
+    same: dict[str, dict[tuple[str, str], dict[str, Any]]] = {}
     for words in commands(page):
         values = dict(words[i + 1].split("=") for i, word in enumerate(words) if word == "--set")
         trade = read(Path(words[words.index("--out") + 1]).name)
         e_n, v_0 = values["contact.e_n"], values[VELOCITY].strip("[]").split(",")[2].lstrip("- ")
-        # Of the reference only its numbers of steps are of use here: nobody takes so many.
+        # Nobody takes as many steps as the reference.
         rows += [[e_n, v_0, *row[:3], *row[4:]] for row in savings(trade, ("e_n",))]
         for point in trade["points"]:
             plain = point["candidate"]["how"] in ("mean_overlap", "softened") and point["status"] == "completed"
             if plain and _n(point) == 50:
-                same.setdefault((e_n, contact(point["candidate"])), {})[v_0] = point
+                same.setdefault(contact(point["candidate"]), {})[e_n, v_0] = point
     fill(page, "savings", table(["e_n", "v_0 [m/s]", *SAVINGS[:3], *SAVINGS[4:]], rows))
+    each = list(dict.fromkeys(row[0] for row in rows))
     soft = []
-    for (e_n, name), points in same.items():
-        spans = [span([error(point, metric) for point in points.values()]) for metric in ("e_n", "delta_max", "t_c")]
-        signs = [f"{text} at {v_0} m/s" for v_0, point in points.items() if (text := changed(point))]
-        soft.append([e_n, name, *spans, "; ".join(signs)])
-    heads = ["e_n", "contact", "e_n [%]", "delta_max [%]", "t_c [%]", "what softness changed"]
-    fill(page, "softened", table(heads, soft))
+    for name, points in same.items():
+        spans = [span([error(p, "e_n") for key, p in points.items() if key[0] == e_n]) for e_n in each]
+        spans += [span([error(p, metric) for p in points.values()]) for metric in ("delta_max", "t_c")]
+        signs = {v_0: text for (_, v_0), point in points.items() if (text := changed(point))}
+        soft.append([name, *spans, "; ".join(f"{text} at {v_0} m/s" for v_0, text in signs.items())])
+    heads = [*(f"e_n = {e_n} [%]" for e_n in each), "delta_max [%]", "t_c [%]", "what softness changed"]
+    fill(page, "softened", table(["contact", *heads], soft))
 
 
 def bubbling_bed_mini(page: Path) -> None:
