@@ -1,10 +1,11 @@
-"""What a bed did: averages with uncertainty, and all else that is reported of one run."""
+"""What the signals of a run show after its start-up: every metric by one table, and the parts that figures draw."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,23 +13,23 @@ from numpy.typing import NDArray
 from kncal.core.checks import Array
 from kncal.core.errors import InputError
 from kncal.observe.bubbles import Bubbles, BubbleTracks, find_bubbles, follow
+from kncal.observe.estimate import Estimate, averaged, missing
 from kncal.observe.fields import (
     SolidsFields,
     frames_from,
     mean_voidage,
     pressure_heights,
     solids_fields,
+    solids_volume_below,
     voidage_heights,
 )
 from kncal.observe.fluidization_curve import FluidizationCurve, fluidization_curve
 from kncal.observe.packed_bed import Plateau, ergun_plateaus
 from kncal.observe.settling import FinalVelocity, final_velocity
 from kncal.observe.signals import (
-    Balance,
     OverlapStatistics,
     Spectrum,
     bed_kind,
-    force_balance,
     gas_changes,
     overlap_statistics,
     pressure_spectrum,
@@ -41,138 +42,200 @@ from kncal.scene.metrics import why_not
 
 #: Signals whose start-ups are detected; the longest is left out of everything.
 START_UP_OF = ("p_in", "floor", "z_mean", "kinetic_energy")
+#: Contacts with a larger overlap than this share of the diameter are counted in ``overlap_share``.
+OVERLAP_LIMIT = 0.01
 #: Parts of a run whose largest overlaps, or dominant frequencies, are compared.
 _PARTS = 5
 #: A peak of the spectrum is one if it is this many times the median: that of white noise is five to six times.
 _PEAK = 10.0
 
-_T = TypeVar("_T")
+
+class Window(NamedTuple):
+    """From when a run is averaged.
+
+    ``begin``: start-up left out before this time [s]. ``by``: "given", or the signal of `START_UP_OF` that took longest
+    to settle; "given" too where nothing is left out: of a single particle, a frozen bed and a ramp. ``doubt``: about
+    the whole run, or "".
+    """
+
+    begin: float
+    by: str
+    doubt: str
 
 
 @dataclass(frozen=True, kw_only=True)
 class BedObservations:
-    """All that is reported of one bed run.
+    """What is seen in the signals of a run. A part that the run has no data for, or that means nothing for it, raises
+    `InputError` with the reason; `get` gives None.
 
     Attributes
     ----------
-    kind : one of `kncal.scene.metrics.KINDS_OF_BEDS`; changes : whether the gas velocity changes after ``begin``
-    begin : start-up left out before this time [s]
-    begin_by : "given", or the signal of `START_UP_OF` that took longest to settle; "given" too where nothing is left
-        out: of a single particle, a frozen bed and a ramp
-    averages : name -> Average; names and units of `kncal.scene.metrics.METRICS`
-    missing : name -> why there is none
-    balance : Balance or None; spectrum : Spectrum or None; overlaps : OverlapStatistics or None
-    eps_g : (nz, ny, nx) time mean void fraction, or None
-    solids : SolidsFields or None; bubbles, tracks : or None
-    final : of a single particle; plateaus : of a frozen bed, one per gas velocity that was held; curve : of
-        a ramp; each None, or empty, for what it is not of
+    series : the signals; gas : of the scene, needed for what is compared with a drag law
+    window : what is averaged over
     """
 
-    kind: str
-    changes: bool
-    begin: float
-    begin_by: str
-    averages: Mapping[str, Average]
-    missing: Mapping[str, str]
-    balance: Balance | None
-    spectrum: Spectrum | None
-    overlaps: OverlapStatistics | None
-    eps_g: Array | None
-    solids: SolidsFields | None
-    bubbles: Bubbles | None
-    tracks: BubbleTracks | None
-    final: FinalVelocity | None
-    plateaus: tuple[Plateau, ...]
-    curve: FluidizationCurve | None
+    series: BedSeries
+    gas: Gas | None
+    window: Window
+
+    @property
+    def begin(self) -> float:
+        """Start of the window [s]."""
+        return self.window.begin
+
+    @cached_property
+    def kind(self) -> str:
+        """One of `kncal.scene.metrics.KINDS_OF_BEDS`."""
+        return bed_kind(self.series, self.begin)
+
+    @cached_property
+    def changes(self) -> bool:
+        """Whether the gas velocity changes in the window."""
+        return gas_changes(self.series, self.begin)
+
+    @cached_property
+    def estimates(self) -> Mapping[str, Estimate]:
+        """Every metric of `kncal.scene.metrics.METRICS` that means something for such a bed, by its name."""
+        return {name: self._estimate(compute) for name, compute in _METRICS.items() if not self.why_not(name)}
+
+    def why_not(self, metric: str) -> str:
+        """Return why ``metric`` means nothing for such a bed; "" if it does."""
+        return why_not(metric, self.kind, self.changes)
+
+    def get(self, part: str) -> Any:
+        """Return a part by its name, None without it."""
+        try:
+            return getattr(self, part)
+        except InputError:
+            return None
+
+    @cached_property
+    def spectrum(self) -> Spectrum:
+        """Of the inlet pressure."""
+        self._means("dominant_frequency")
+        return pressure_spectrum(self.series, self.begin)
+
+    @cached_property
+    def overlaps(self) -> OverlapStatistics:
+        """Of all contacts between particles."""
+        self._means("overlap_max")
+        return overlap_statistics(self.series, self.begin)
+
+    @cached_property
+    def heights(self) -> Array:
+        """(frames,) height of the bed [m]."""
+        self._means("bed_height")
+        return voidage_heights(self.series, self.begin)
+
+    @cached_property
+    def eps_g(self) -> Array:
+        """(nz, ny, nx) time mean void fraction, of a state that stays."""
+        if self.kind not in ("steady", "frozen"):
+            raise InputError("the bed changes: a mean void fraction would be one of different states")
+        return mean_voidage(self.series, self.begin)
+
+    @cached_property
+    def solids(self) -> SolidsFields:
+        """Mean motion and granular temperature of the particles."""
+        self._means("granular_temperature")
+        return solids_fields(self.series, self.begin)
+
+    @cached_property
+    def bubbles(self) -> Bubbles:
+        """Of all frames."""
+        self._means("bubble_number")
+        return find_bubbles(self.series, self.begin)
+
+    @cached_property
+    def tracks(self) -> BubbleTracks:
+        """Bubbles that were followed."""
+        return follow(self.bubbles)
+
+    @cached_property
+    def final(self) -> FinalVelocity:
+        """Of a single particle."""
+        self._means("velocity")
+        return final_velocity(self.series, self.gas)
+
+    @cached_property
+    def plateaus(self) -> tuple[Plateau, ...]:
+        """Of a frozen bed: one per gas velocity that was held."""
+        self._means("ergun_ratio")
+        return ergun_plateaus(self.series, self.gas)
+
+    @cached_property
+    def curve(self) -> FluidizationCurve:
+        """Of a ramp."""
+        self._means("U_mf")
+        return fluidization_curve(self.series, self.gas)
+
+    @property
+    def worst_plateau(self) -> Plateau:
+        """The plateau whose ratio is farthest from 1."""
+        return max(self.plateaus, key=lambda p: abs(p.ratio - 1.0))
+
+    def rows(self, values: Array) -> Average:
+        """Average a signal per coupling."""
+        return average(self.series.t[-len(values) :], values, self.begin)
+
+    def frames(self, values: Array) -> Average:
+        """Average a signal per frame of the window, over those that are evenly spaced."""
+        of = frames_from(self.series, self.begin)
+        even = _evenly(self.series.frame_coupling[of])
+        if not np.isfinite(values[even]).all():
+            raise InputError("not defined in every frame")
+        if even.sum() < MIN_SAMPLES:
+            raise InputError(f"{even.sum()} evenly spaced frames, {MIN_SAMPLES} are needed")
+        return average(self.series.t_frame[of][even], values[even], self.begin)
+
+    def _means(self, metric: str) -> None:
+        if reason := self.why_not(metric):
+            raise InputError(reason)
+
+    def _estimate(self, compute: Callable[[BedObservations], Average | Estimate]) -> Estimate:
+        try:
+            found = compute(self)
+        except InputError as error:
+            return missing(str(error))
+        if isinstance(found, Estimate):
+            return found
+        if self.window.doubt:
+            found = replace(found, reliable=False, why="; ".join(filter(None, (self.window.doubt, found.why))))
+        return averaged(found, self.begin, float(self.series.t[-1]))
 
 
 def observe_bed(series: BedSeries, discard: float | None = None, gas: Gas | None = None) -> BedObservations:
     """Observe a run after its start-up: until ``discard`` [s], or as detected.
-
-    What the run has no data for is in ``missing`` with the reason, not an error. ``gas`` of the scene is needed for
-    what is compared with a drag law: ``final``, ``plateaus`` and ``curve``.
 
     Raises
     ------
     InputError
         If fewer than `MIN_SAMPLES` couplings remain.
     """
-    begin, begin_by, doubt = window_start(series, discard)
-    kind, changes = bed_kind(series, begin), gas_changes(series, begin)
-    facts = series.facts
-    rows = rows_from(series, begin)
+    window = window_start(series, discard)
+    rows = rows_from(series, window.begin)
     if rows.sum() < MIN_SAMPLES:
         raise InputError(
-            f"{rows.sum()} couplings from {begin:g} s on, of a run of {len(rows)}: expected at least {MIN_SAMPLES}; "
-            "run longer, or discard less"
+            f"{rows.sum()} couplings from {window.begin:g} s on, of a run of {len(rows)}: expected at least"
+            f" {MIN_SAMPLES}; run longer, or discard less"
         )
-    no_gas = "" if facts.gas_density > 0.0 else "no gas"
-    frozen = "" if np.isfinite(series.floor[rows]).all() else "no contacts were recorded (particles do not move)"
-    found = _Collector(series, begin, doubt, kind, changes)
-    found.rows("pressure_drop", series.p_in, no_gas)
-    floating = "" if facts.weight > 0.0 else "no gravity"
-    if not floating:
-        found.rows("floor_share", series.floor / facts.weight, frozen)
-    for name in ("z_mean", "z_95", "kinetic_energy"):
-        found.rows(name, getattr(series, name))
-    for name in ("overlap_mean", "contacts"):
-        found.rows(name, getattr(series, name), frozen)
-    spectrum = found.attempt("dominant_frequency", lambda: pressure_spectrum(series, begin))
-    if spectrum is not None:
-        dominant = found.attempt("dominant_frequency", lambda: _dominant(series, begin, spectrum))
-        if dominant is not None:
-            found.keep("dominant_frequency", dominant)
-    overlaps = found.attempt("overlap_max", lambda: overlap_statistics(series, begin))
-    if overlaps is not None:
-        found.keep("overlap_max", _largest(series.overlap_max[rows]))
-    heights = found.frames("bed_height", lambda: voidage_heights(series, begin))
-    found.frames("height_pressure", lambda: pressure_heights(series, begin))
-    solids = found.attempt("granular_temperature", lambda: solids_fields(series, begin))
-    if solids is not None:
-        found.frames("granular_temperature", lambda: solids.theta_frames)
-    bubbles = found.attempt("bubble_number", lambda: find_bubbles(series, begin))
-    tracks = None
-    if bubbles is not None and heights is not None:
-        found.frames("bubble_number", lambda: bubbles.number)
-        below = np.maximum(heights, facts.diameter) * facts.floor_area
-        found.frames("bubble_share", lambda: bubbles.total_volume / below)
-        tracks = follow(bubbles)
-        for name, values in (("bubble_diameter", tracks.diameter), ("bubble_velocity", tracks.velocity)):
-            found.bubbles(name, values)
-    final = found.attempt("velocity", lambda: final_velocity(series, gas)) if kind == "single" else None
-    plateaus = found.attempt("ergun_ratio", lambda: ergun_plateaus(series, gas)) if kind == "frozen" else None
-    curve = found.attempt("U_mf", lambda: fluidization_curve(series, gas)) if kind == "ramp" else None
-    return BedObservations(
-        kind=kind,
-        changes=changes,
-        begin=begin,
-        begin_by=begin_by,
-        averages=found.averages,
-        missing=found.missing,
-        balance=None if frozen or floating else force_balance(series, begin),
-        spectrum=spectrum,
-        overlaps=overlaps,
-        eps_g=mean_voidage(series, begin) if kind in ("steady", "frozen") and len(series.eps_g) else None,
-        solids=solids,
-        bubbles=bubbles,
-        tracks=tracks,
-        final=final,
-        plateaus=plateaus or (),
-        curve=curve,
-    )
+    return BedObservations(series=series, gas=gas, window=window)
 
 
-def window_start(series: BedSeries, discard: float | None = None) -> tuple[float, str, str]:
-    """Return the time [s] from which a run is averaged, what says so (see `BedObservations`), and a doubt or "".
-
-    That is ``discard`` [s], or where the start-up ends as detected; 0 for a single particle, a frozen bed, a ramp.
-    """
+def window_start(series: BedSeries, discard: float | None = None) -> Window:
+    """Return from when a run is averaged: ``discard`` [s], or where the start-up ends as detected."""
     if discard is not None:
-        return discard, "given", ""
-    begin, begin_by, doubt = _begin(series)
+        return Window(discard, "given", "")
+    signals = {name: getattr(series, name) for name in START_UP_OF}
+    ends = {name: start_up(values) for name, values in signals.items() if len(values) and np.isfinite(values).all()}
+    if not ends:
+        return Window(0.0, "no signal", "")
+    name = max(ends, key=lambda key: ends[key])
+    begin = float(series.t[ends[name]]) if ends[name] else 0.0
     if bed_kind(series, begin) in ("single", "frozen") or gas_changes(series, begin):
-        return 0.0, "given", ""
-    return begin, begin_by, doubt
+        return Window(0.0, "given", "")
+    late = ends[name] >= LONG_START_UP * len(series.t)
+    return Window(begin, name, f"the start-up of {name} seems to fill half of the run or more" if late else "")
 
 
 def voidage_difference(a: BedSeries, b: BedSeries, begin_a: float, begin_b: float) -> tuple[float, float]:
@@ -188,117 +251,70 @@ def voidage_difference(a: BedSeries, b: BedSeries, begin_a: float, begin_b: floa
     """
     if a.facts.cells != b.facts.cells:
         raise InputError(f"cells {a.facts.cells} and {b.facts.cells}: expected runs on the same grid")
-    parts = 5
     means, noise = [], 0.0
     for series, begin in ((a, begin_a), (b, begin_b)):
         frames = frames_from(series, begin)
         if len(frames) < MIN_SAMPLES or len(series.eps_g) != len(series.t_frame):
             raise InputError(f"{len(frames)} frames with gas after {begin:g} s: expected at least {MIN_SAMPLES}")
         means.append(mean_voidage(series, begin))
-        split = np.stack([series.eps_g[part].mean(axis=0, dtype=np.float64) for part in np.array_split(frames, parts)])
-        noise += float(split.var(axis=0, ddof=1).mean()) / parts
+        split = np.stack([series.eps_g[part].mean(axis=0, dtype=np.float64) for part in np.array_split(frames, _PARTS)])
+        noise += float(split.var(axis=0, ddof=1).mean()) / _PARTS
     return float(np.sqrt(np.mean((means[0] - means[1]) ** 2))), float(np.sqrt(noise))
 
 
-class _Collector:
-    """Averages by name, and the reasons for those that there are none of; ``doubt`` is added to all."""
-
-    def __init__(self, series: BedSeries, begin: float, doubt: str, kind: str, changes: bool) -> None:
-        self.series = series
-        self.begin = begin
-        self.doubt = doubt
-        self.kind = kind
-        self.changes = changes
-        self.averages: dict[str, Average] = {}
-        self.missing: dict[str, str] = {}
-
-    def rows(self, name: str, values: Array, reason: str = "") -> None:
-        """Average a signal per coupling, unless there is a reason not to."""
-        if reason := why_not(name, self.kind, self.changes) or reason:
-            self.missing[name] = reason
-        else:
-            self.keep(name, average(self.series.t, values, self.begin))
-
-    def frames(self, name: str, compute: Callable[[], Array]) -> Array | None:
-        """Average a signal per frame, and return it."""
-        values = self.attempt(name, compute)
-        if values is None:
-            return None
-        of = frames_from(self.series, self.begin)
-        even = _evenly(self.series.frame_coupling[of])
-        if not np.isfinite(values[even]).all():
-            self.missing[name] = "not defined in every frame"
-        elif even.sum() < MIN_SAMPLES:
-            self.missing[name] = f"{even.sum()} evenly spaced frames, {MIN_SAMPLES} are needed"
-        else:
-            self.keep(name, average(self.series.t_frame[of][even], values[even], self.begin))
-        return values
-
-    def bubbles(self, name: str, values: Array) -> None:
-        """Average a value per bubble."""
-        if len(values) < 2:
-            self.missing[name] = f"{len(values)} bubbles could be followed, 2 are needed"
-        else:
-            self.keep(name, average_of_samples(values))
-
-    def attempt(self, name: str, compute: Callable[[], _T]) -> _T | None:
-        """Return what ``compute`` does; if its input is not there, or this bed has no such thing, keep the reason."""
-        if reason := why_not(name, self.kind, self.changes):
-            self.missing[name] = reason
-            return None
-        try:
-            return compute()
-        except InputError as error:
-            self.missing[name] = str(error)
-            return None
-
-    def keep(self, name: str, found: Average) -> None:
-        """Keep an average, with the doubt about the whole run."""
-        if self.doubt:
-            found = replace(found, reliable=False, why="; ".join(part for part in (self.doubt, found.why) if part))
-        self.averages[name] = found
+# --- how each metric is computed ----------------------------------------------------------------------------------
 
 
-def _begin(series: BedSeries) -> tuple[float, str, str]:
-    """Return the end of the longest start-up [s], whose it is, and a doubt if it fills half of the run."""
-    signals = {name: getattr(series, name) for name in START_UP_OF}
-    ends = {name: start_up(values) for name, values in signals.items() if len(values) and np.isfinite(values).all()}
-    if not ends:
-        return 0.0, "no signal", ""
-    name = max(ends, key=lambda key: ends[key])
-    late = ends[name] >= LONG_START_UP * len(series.t)
-    doubt = f"the start-up of {name} seems to fill half of the run or more" if late else ""
-    return float(series.t[ends[name]]) if ends[name] else 0.0, name, doubt
+def _one(value: float | None, width: float) -> Estimate:
+    """One value of the whole run, with a width of its own kind."""
+    if value is None:
+        raise InputError("too little of it was seen")
+    return Estimate(value=value, width=width, chance=True)
 
 
-def _evenly(coupling: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Mark the frames of the rhythm that the first two begin; one more at the end of a run is none of them."""
-    steps = np.diff(coupling)
-    if not len(steps):
-        return np.ones(len(coupling), dtype=bool)
-    return np.concatenate([[True], np.cumsum(steps != steps[0]) == 0])
+def _pressure(seen: BedObservations) -> Array:
+    if seen.series.facts.gas_density <= 0.0:
+        raise InputError("no gas")
+    return seen.series.p_in
 
 
-def _largest(overlap_max: Array) -> Average:
-    """Return the largest overlap; how uncertain it is tells the spread of the largest of five parts of the run."""
-    parts = average_of_samples([part.max() for part in np.array_split(overlap_max, _PARTS)])
-    return replace(parts, mean=float(overlap_max.max()))
+def _of_contacts(seen: BedObservations, values: Array) -> Array:
+    """Return what is known of particles that move alone."""
+    if not np.isfinite(seen.series.floor[rows_from(seen.series, seen.begin)]).all():
+        raise InputError("no contacts were recorded (particles do not move)")
+    return values
 
 
-def _dominant(series: BedSeries, begin: float, spectrum: Spectrum) -> Average:
-    """Return the dominant frequency, uncertain by the resolution of the spectrum; reliable from ten periods on.
+def _over_weight(seen: BedObservations, force: Array) -> Array:
+    """Return forces on the particles over their weight."""
+    if not seen.series.facts.weight > 0.0:
+        raise InputError("the particles have no weight")
+    return _of_contacts(seen, force) / seen.series.facts.weight
 
-    Raises
-    ------
-    InputError
-        If no peak stands out.
-    """
-    length = int(rows_from(series, begin).sum()) * series.facts.coupling
+
+def _fluctuation(seen: BedObservations) -> Average:
+    """Average the squared deviation of the pressure; the uncertainty of its root follows to first order."""
+    pressure = _pressure(seen)
+    found = seen.rows((pressure - pressure[rows_from(seen.series, seen.begin)].mean()) ** 2)
+    if found.mean <= 0.0:
+        return replace(found, mean=0.0)
+    std = float(np.sqrt(found.mean))
+    slope = 0.5 / std
+    return replace(
+        found,
+        mean=std,
+        uncertainty=slope * found.uncertainty,
+        standard_error=slope * found.standard_error,
+        std=slope * found.std,
+    )
+
+
+def _dominant(seen: BedObservations) -> Average:
+    """The dominant frequency, uncertain by the resolution of the spectrum; reliable from ten periods on."""
+    spectrum = seen.spectrum
+    length = int(rows_from(seen.series, seen.begin).sum()) * seen.series.facts.coupling
     periods = spectrum.dominant * length
     density = spectrum.density[1:]
-    doubts = []
-    if periods < 10.0:
-        doubts.append(f"only {periods:.0f} periods in {length:.3g} s, 10 are needed")
     if density.max() < _PEAK * np.median(density):
         raise InputError("no peak stands out of the spectrum")
     return Average(
@@ -309,7 +325,112 @@ def _dominant(series: BedSeries, begin: float, spectrum: Spectrum) -> Average:
         n_effective=periods,
         correlation_time=0.5 / spectrum.dominant,
         length=length,
-        discarded=begin,
-        reliable=not doubts,
-        why="; ".join(doubts),
+        discarded=seen.begin,
+        reliable=periods >= 10.0,
+        why="" if periods >= 10.0 else f"only {periods:.0f} periods in {length:.3g} s, 10 are needed",
     )
+
+
+def _closure(seen: BedObservations) -> Average:
+    """The sum of the vertical forces on the particles and their inertia, over their weight.
+
+    Newton's second law for all particles together: gas + floor + walls - weight = change of momentum over time; forces
+    are means over each coupling, so the sum is exact but for rounding. The force of the gas is what the gas' own
+    momentum balance says it is in the mean: p_in A less the weight of the gas (DPMFoam's pressure holds the weight of
+    all of the column; the part displaced by the particles is the buoyancy in their force).
+    """
+    series, facts = seen.series, seen.series.facts
+    pressure = _pressure(seen)
+    if facts.jet:
+        raise InputError("the gas enters through a jet: the pressure on the rest of the floor is not recorded")
+    gas_weight = facts.gas_density * facts.gravity * (float(np.prod(facts.size)) - facts.mass / facts.density)
+    forces = pressure * facts.floor_area - gas_weight + series.floor + series.walls
+    rate = np.diff(series.momentum_z) / facts.coupling  # the momentum before the first coupling is not recorded
+    return seen.rows(_over_weight(seen, forces)[1:] - rate / facts.weight - 1.0)
+
+
+def _voidage(seen: BedObservations) -> Average:
+    """Average the void fraction below the bed height, frame by frame."""
+    if not (seen.heights > 0.0).all():
+        raise InputError("not defined in every frame: no layer is denser than the freeboard")
+    return seen.frames(1.0 - solids_volume_below(seen.series, seen.heights, seen.begin) / seen.heights)
+
+
+def _bubble_share(seen: BedObservations) -> Average:
+    facts = seen.series.facts
+    return seen.frames(seen.bubbles.total_volume / (np.maximum(seen.heights, facts.diameter) * facts.floor_area))
+
+
+def _followed(values: Array) -> Average:
+    """Average a value per bubble."""
+    if len(values) < 2:
+        raise InputError(f"{len(values)} bubbles could be followed, 2 are needed")
+    return average_of_samples(values)
+
+
+def _largest(seen: BedObservations) -> Average:
+    """The largest overlap; how uncertain it is tells the spread of the largest of five parts of the run."""
+    rows = rows_from(seen.series, seen.begin)
+    parts = average_of_samples([part.max() for part in np.array_split(seen.series.overlap_max[rows], _PARTS)])
+    return replace(parts, mean=seen.overlaps.max)
+
+
+def _overlap_share(seen: BedObservations) -> Average:
+    """Average the share of overlaps above `OVERLAP_LIMIT`, every contact counting once.
+
+    A ratio of two means: its uncertainty is that of the mean of ``(above - share n)/mean n``, to first order (the
+    ratio estimator of survey sampling: Cochran, "Sampling Techniques" (1977), chapter 6).
+    """
+    facts, histogram = seen.series.facts, seen.series.histogram
+    edges = np.array(facts.histogram_edges)
+    rows = rows_from(seen.series, seen.begin)
+    # the share of each bin above the limit: 1 above, 0 below, linear within
+    weight = np.clip((edges[1:] - OVERLAP_LIMIT * facts.diameter) / np.diff(edges), 0.0, 1.0)
+    above, number = histogram @ weight, histogram.sum(axis=1).astype(np.float64)
+    mean = float(number[rows].mean())
+    if mean <= 0.0:
+        raise InputError("no contact between particles was recorded")
+    share = float(above[rows].mean()) / mean
+    return seen.rows(share + (above - share * number) / mean)
+
+
+def _evenly(coupling: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Mark the frames of the rhythm that the first two begin; one more at the end of a run is none of them."""
+    steps = np.diff(coupling)
+    if not len(steps):
+        return np.ones(len(coupling), dtype=bool)
+    return np.concatenate([[True], np.cumsum(steps != steps[0]) == 0])
+
+
+#: Metric -> how it is computed of what was seen; `InputError` where that is not possible.
+_METRICS: Mapping[str, Callable[[BedObservations], Average | Estimate]] = {
+    "velocity": lambda s: _one(s.final.velocity, s.final.uncertainty),
+    "slip": lambda s: _one(s.final.slip, s.final.slip_uncertainty),
+    "ergun_ratio": lambda s: _one(s.worst_plateau.ratio, s.worst_plateau.uncertainty),
+    "U_mf": lambda s: _one(s.curve.falling.U_mf, s.curve.falling.uncertainty),
+    "U_mf_rising": lambda s: _one(s.curve.rising.U_mf, s.curve.rising.uncertainty),
+    "overshoot": lambda s: _one(s.curve.rising.largest - 1.0, s.curve.rising.largest_uncertainty),
+    "plateau": lambda s: _one(s.curve.falling.plateau, s.curve.falling.plateau_uncertainty),
+    "eps_mf": lambda s: _one(s.curve.falling.eps_g, s.curve.falling.eps_g_uncertainty),
+    "pressure_drop": lambda s: s.rows(_pressure(s)),
+    "pressure_fluctuation": _fluctuation,
+    "dominant_frequency": _dominant,
+    "weight_balance": lambda s: s.rows(_over_weight(s, s.series.drag_z + s.series.floor + s.series.walls)),
+    "weight_closure": _closure,
+    "floor_share": lambda s: s.rows(_over_weight(s, s.series.floor)),
+    "z_mean": lambda s: s.rows(s.series.z_mean),
+    "z_95": lambda s: s.rows(s.series.z_95),
+    "bed_height": lambda s: s.frames(s.heights),
+    "height_pressure": lambda s: s.frames(pressure_heights(s.series, s.begin)),
+    "voidage": _voidage,
+    "bubble_number": lambda s: s.frames(s.bubbles.number),
+    "bubble_share": _bubble_share,
+    "bubble_diameter": lambda s: _followed(s.tracks.diameter),
+    "bubble_velocity": lambda s: _followed(s.tracks.velocity),
+    "kinetic_energy": lambda s: s.rows(s.series.kinetic_energy),
+    "granular_temperature": lambda s: s.frames(s.solids.theta_frames),
+    "contacts": lambda s: s.rows(_of_contacts(s, s.series.contacts)),
+    "overlap_mean": lambda s: s.rows(_of_contacts(s, s.series.overlap_mean)),
+    "overlap_max": _largest,
+    "overlap_share": _overlap_share,
+}

@@ -252,20 +252,20 @@ def _limits(runs: tuple[RunData, ...]) -> tuple[tuple[str, str], ...]:
 def _window(run: RunData) -> dict[str, Any]:
     """The times [s] that the numbers of a run are of."""
     if run.signals is not None:
-        return {"begin": run.seen.begin, "begin_by": run.seen.begin_by, "end": float(run.signals.t[-1])}
+        return {"begin": run.seen.begin, "begin_by": run.seen.window.by, "end": float(run.signals.t[-1])}
     return {"begin": float(run.trajectory.t[0]), "begin_by": "given", "end": float(run.trajectory.t[-1])}
 
 
 def _theory(seen: BedObservations) -> dict[str, Any]:
     """What is compared with a theory, as plain numbers: of single particles, frozen beds and ramps."""
-    curve = None
-    if seen.curve is not None:
-        curve = asdict(seen.curve)
+    final, curve = seen.get("final"), seen.get("curve")
+    if curve is not None:
+        curve = asdict(curve)
         for branch in (curve["rising"], curve["falling"]):
             branch |= {name: branch[name].tolist() for name in ("U_0", "drop")}
     return {
-        "final": None if seen.final is None else asdict(seen.final),
-        "plateaus": [asdict(p) for p in seen.plateaus],
+        "final": None if final is None else asdict(final),
+        "plateaus": [asdict(p) for p in seen.get("plateaus") or ()],
         "curve": curve,
     }
 

@@ -149,6 +149,15 @@ def voidage_heights(series: BedSeries, begin: float = 0.0) -> Array:
     return heights
 
 
+def solids_volume_below(series: BedSeries, heights: Array, begin: float = 0.0) -> Array:
+    """Return (frames,) the solids below ``heights`` (frames,) [m], volume over the area of the floor [m]."""
+    nz, height = series.facts.cells[2], series.facts.size[2]
+    eps_g = _gas(series, series.eps_g, frames_from(series, begin)).mean(axis=(2, 3), dtype=np.float64)
+    below = np.concatenate([np.zeros((len(eps_g), 1)), np.cumsum((1.0 - eps_g) * height / nz, axis=1)], axis=1)
+    edges = np.linspace(0.0, height, nz + 1)
+    return np.array([np.interp(h, edges, filled) for h, filled in zip(heights, below, strict=True)])
+
+
 def pressure_heights(series: BedSeries, begin: float = 0.0) -> Array:
     """Return (frames,) the height where the pressure line of the bed meets that of the freeboard [m].
 

@@ -25,16 +25,15 @@ def known_answers(run: RunData) -> tuple[Row, ...]:
         return ()
     seen = run.seen
     found: list[tuple[str, float, float, float, str]] = []
-    if seen.plateaus:
-        worst = max(seen.plateaus, key=lambda p: abs(p.ratio - 1.0))
+    if (worst := seen.get("worst_plateau")) is not None:
         found.append(("ergun_ratio", worst.ratio, worst.uncertainty, 1.0, "Ergun's equation in every cell"))
-    if (final := seen.final) is not None:
+    if (final := seen.get("final")) is not None:
         if final.settling is None:
             found.append(("slip", final.slip, final.slip_uncertainty, final.terminal, "the terminal velocity"))
         else:
             slip = final.slip + final.velocity - final.settling
             found.append(("slip", final.slip, 0.0, slip, "the equation of motion"))
-    if (curve := seen.curve) is not None:
+    if (curve := seen.get("curve")) is not None:
         branch = curve.falling
         source = f"Ergun's equation at the bed's void fraction of {branch.eps_g:.3f}"
         found.append(("U_mf", branch.U_mf, branch.uncertainty, branch.ergun, source))

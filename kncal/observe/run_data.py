@@ -15,11 +15,10 @@ from kncal.observe.averages import BedObservations, observe_bed
 from kncal.observe.contacts import Observations
 from kncal.observe.cost import Cost, cost
 from kncal.observe.estimate import Estimate, missing
-from kncal.observe.quantities import quantities
 from kncal.record.frames import Trajectory
 from kncal.record.outcome import RunResult
 from kncal.record.series import BedSeries
-from kncal.scene.metrics import FEW_PARTICLES, METRICS, why_not
+from kncal.scene.metrics import FEW_PARTICLES, METRICS
 from kncal.scene.model import Plan
 
 _T = TypeVar("_T")
@@ -114,7 +113,7 @@ class RunData:
         if self.contacts is not None:
             found |= {name: self._estimate(name, value) for name, value in self.contacts.metrics.items()}
         if self.signals is not None:
-            found |= quantities(self.signals, self.seen)
+            found |= self.seen.estimates
         return found | added(self)
 
     def _estimate(self, name: str, value: float) -> Estimate:
@@ -129,7 +128,7 @@ class RunData:
 
     def why_not(self, name: str) -> str:
         """Return why a metric means nothing for such a run; "" if it may have it."""
-        return why_not(name, self.seen.kind, self.seen.changes) if self.signals is not None else ""
+        return self.seen.why_not(name) if self.signals is not None else ""
 
     @cached_property
     def cost(self) -> Cost:

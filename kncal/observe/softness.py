@@ -13,11 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from kncal.core.checks import Array
-from kncal.observe.quantities import OVERLAP_LIMIT
+from kncal.observe.averages import OVERLAP_LIMIT
+from kncal.observe.estimate import apart, averaged, decide
 from kncal.observe.run_data import RunData
 from kncal.physics.calibration import OVERLAP_DOUBTFUL
 from kncal.physics.material import sphere_mass
-from kncal.physics.statistics import MIN_SAMPLES, average, difference, start_up
+from kncal.physics.statistics import MIN_SAMPLES, average, start_up
 from kncal.scene.load import bottom_overlaps
 from kncal.scene.model import BedModel, Model, PairContact
 from kncal.scene.scene import Particle
@@ -139,25 +140,24 @@ def _bed_sound(model: BedModel, reference: BedModel | None = None) -> Sign:
 def _contact_number(data: RunData, reference: RunData) -> Sign:
     """Contacts per particle against the reference: changed if the whole interval is beyond the limit."""
     count = max(data.series.facts.count, 1)
-    found = []
+    sides = []
     for series in (data.series, reference.series):
-        begin = min(start_up(series.z_mean), max(len(series.t) - MIN_SAMPLES, 0))
-        found.append(average(series.t, 2.0 * series.contacts / count, float(series.t[begin])))
-    here, there = found
-    apart = difference(here, there)
-    relative = math.nan if apart.relative is None else apart.relative
-    width = (apart.relative_uncertainty or 0.0) * (1.0 if apart.reliable else 3.0)
-    changed = abs(relative) - width > CONTACTS_LIMIT
-    undecided = "" if changed or abs(relative) + width <= CONTACTS_LIMIT else "; undecided, the runs are short"
+        begin = float(series.t[min(start_up(series.z_mean), max(len(series.t) - MIN_SAMPLES, 0))])
+        sides.append(averaged(average(series.t, 2.0 * series.contacts / count, begin), begin, float(series.t[-1])))
+    here, there = sides
+    between = apart(here, there, abs(there.value or math.nan), ("run", "reference"))
+    relative, width = between.value or 0.0, between.deciding
+    found = decide(abs(relative), width, CONTACTS_LIMIT)
+    undecided = "; undecided, the runs are short" if found == "undecided" else ""
     return Sign(
         name="contact_number",
         value=relative,
         unit="–",
         limit=CONTACTS_LIMIT,
         source=_CONTACTS,
-        changed=changed,
+        changed=found == "outside",
         text=(
-            f"{here.mean:.3g} contacts per particle, {there.mean:.3g} in the reference:"
+            f"{here.value:.3g} contacts per particle, {there.value:.3g} in the reference:"
             f" {100.0 * relative:+.2g} ± {100.0 * width:.2g} %{undecided}."
         ),
     )

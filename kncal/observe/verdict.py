@@ -170,8 +170,11 @@ def spring(model: Plan[Any]) -> str:
 def not_judged(rows: Sequence[Row]) -> list[str]:
     """Return what a verdict says of the largest difference that nobody judged; none if nothing is judged, or it is
     small, or no larger than its width."""
-    left = [r for r in rows if r.tolerance is None and r.difference.significant is not False]
-    left = [r for r in left if abs(r.difference.value or 0.0) > NOTABLE]
+    left = [
+        row
+        for row in rows
+        if row.tolerance is None and abs(row.difference.value or 0.0) > max(NOTABLE, row.difference.width or 0.0)
+    ]
     if not left or all(r.tolerance is None for r in rows):
         return []
     worst = max(left, key=lambda r: abs(r.difference.value or 0.0))
@@ -241,7 +244,7 @@ def against_theory(seen: dict[str, BedObservations]) -> list[str]:
 
 def _theory(seen: BedObservations) -> list[str]:
     texts = []
-    if (final := seen.final) is not None:
+    if (final := seen.get("final")) is not None:
         ode = ""
         if final.settling is not None:
             away = 100.0 * (final.velocity - final.settling) / final.slip
@@ -252,14 +255,14 @@ def _theory(seen: BedObservations) -> list[str]:
             f"after {final.time:.3g} s the velocity of the particle is {final.velocity:.5g} m/s, its slip"
             f" {final.slip:.5g} m/s (terminal, by the drag law: {final.terminal:.5g} m/s){ode}."
         )
-    if seen.plateaus:
-        ratios = ", ".join(f"{p.ratio:.4f} at {p.U_0:.3g} m/s" for p in seen.plateaus)
-        means = ", ".join(f"{p.gradient / p.ergun_mean:.3f}" for p in seen.plateaus)
+    if (plateaus := seen.get("plateaus")) is not None:
+        ratios = ", ".join(f"{p.ratio:.4f} at {p.U_0:.3g} m/s" for p in plateaus)
+        means = ", ".join(f"{p.gradient / p.ergun_mean:.3f}" for p in plateaus)
         texts.append(
             f"pressure gradient over Ergun's with each cell's own void fraction and velocity: {ratios}; over Ergun's at"
-            f" the mean void fraction, {seen.plateaus[-1].eps_g:.3f}: {means} (more gas flows where the bed is looser)."
+            f" the mean void fraction, {plateaus[-1].eps_g:.3f}: {means} (more gas flows where the bed is looser)."
         )
-    if (curve := seen.curve) is not None:
+    if (curve := seen.get("curve")) is not None:
         texts.append(
             f"U_mf is {_branch(curve.falling)} with falling, {_branch(curve.rising)} with rising gas velocity; by Wen"
             f" and Yu's correlation {curve.wen_yu:.3g} m/s. Largest pressure drop on the way up:"

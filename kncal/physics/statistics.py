@@ -1,4 +1,4 @@
-"""Time averages of correlated signals with an honest uncertainty, and differences between two of them.
+"""Time averages of correlated signals with an honest uncertainty.
 
 Every uncertainty here is the half-width of a 95 % confidence interval.
 
@@ -82,28 +82,6 @@ class Interval:
     def uncertainty(self) -> float:
         """Half the width of the interval relative to the value; 0 for a value of 0."""
         return 0.5 * (self.high - self.low) / self.value if self.value else 0.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class Difference:
-    """The difference of two independent averages, a - b.
-
-    Attributes
-    ----------
-    value, uncertainty : [y], the latter the half-width of its 95 % confidence interval
-    relative, relative_uncertainty : both divided by \\|b\\|; None where b is zero
-    significant : larger than its uncertainty, and both averages reliable
-    reliable : whether both averages are
-    why : what makes it unreliable, or empty
-    """
-
-    value: float
-    uncertainty: float
-    relative: float | None
-    relative_uncertainty: float | None
-    significant: bool
-    reliable: bool
-    why: str
 
 
 def average(t: ArrayLike, y: ArrayLike, discard: float | None = None) -> Average:
@@ -236,28 +214,6 @@ def correlation_samples(y: ArrayLike) -> float:
     tau = np.cumsum(covariance / covariance[0]) - 0.5
     ends = np.flatnonzero(np.arange(n) >= _WINDOW * tau)
     return max(float(tau[ends[0] if len(ends) else -1]), 0.5)
-
-
-def difference(a: Average, b: Average) -> Difference:
-    """Return a - b with its uncertainty, and whether it is a difference at all.
-
-    The two are taken as independent: their 95 % half-widths add in squares. Of twenty equal pairs about one is still
-    called different; look at all of them together.
-    """
-    value = a.mean - b.mean
-    uncertainty = float(np.hypot(a.uncertainty, b.uncertainty))
-    why = "; ".join(f"{name}: {part.why}" for name, part in (("first", a), ("second", b)) if part.why)
-    scale = abs(b.mean)
-    reliable = a.reliable and b.reliable
-    return Difference(
-        value=value,
-        uncertainty=uncertainty,
-        relative=value / scale if scale else None,
-        relative_uncertainty=uncertainty / scale if scale else None,
-        significant=reliable and abs(value) > uncertainty,
-        reliable=reliable,
-        why=why,
-    )
 
 
 def needed_length(found: Average, precision: float) -> float:

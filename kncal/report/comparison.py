@@ -214,7 +214,7 @@ def _bed_sections(comparison: Comparison, warnings: tuple[str, ...], album: Albu
 def _windows(comparison: Comparison) -> str:
     texts = [
         f"{d.model.kind}: {seen.begin:.3g} to {float(d.series.t[-1]):.3g} s"
-        + ("" if seen.begin_by == "given" else f", start-up found in {seen.begin_by}")
+        + ("" if seen.window.by == "given" else f", start-up found in {seen.window.by}")
         for d, seen in ((run, run.seen) for run in comparison.runs)
     ]
     return "; ".join(texts)

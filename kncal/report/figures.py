@@ -120,7 +120,7 @@ def draw_bed(comparison: Comparison, album: Album) -> None:
     data = comparison.runs
     runs = {d.model.kind: (d.series, d.seen) for d in data}
     particles = comparison.reference.model.scene.particles
-    moving, gas = not particles.frozen, all(d.seen.eps_g is not None for d in data)
+    moving, gas = not particles.frozen, all(d.seen.get("eps_g") is not None for d in data)
     several = moving and particles.count > 1
     signals = {}
     if gas:
@@ -137,9 +137,9 @@ def draw_bed(comparison: Comparison, album: Album) -> None:
         alt = f"{plots.SIGNALS[name][0]} against time, linear and Hertz."
         album.add(name, plots.signal_time(runs, name), caption, alt)
     for name, (needed, draw, caption, alt) in _OBSERVED.items():
-        seen = [d.seen for d in data if getattr(d.seen, needed) is not None]
+        seen = [part for d in data if (part := d.seen.get(needed)) is not None]
         if name == "bubbles":
-            seen = [s for s in seen if s.tracks is not None and len(s.tracks.diameter)]
+            seen = [tracks for tracks in seen if len(tracks.diameter)]
         if seen and (gas or name not in ("voidage", "velocity")):
             album.add(name, draw(runs), caption, alt)
     if several and all(len(d.series.t_frame) > 1 for d in data):
@@ -147,7 +147,7 @@ def draw_bed(comparison: Comparison, album: Album) -> None:
 
 
 def _mean_height(runs: Mapping[str, tuple[BedSeries, BedObservations]]) -> float:
-    return float(np.mean([seen.averages["z_mean"].mean for _, seen in runs.values()]))
+    return float(np.mean([seen.estimates["z_mean"].value or 0.0 for _, seen in runs.values()]))
 
 
 def _animation(runs: Mapping[str, BedSeries], album: Album) -> None:

@@ -6,7 +6,7 @@ mapping from model ("linear", "hertz") to series and what was observed in it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -169,10 +169,10 @@ def signal_time(runs: Runs, name: str) -> Axes:
         every = max(1, len(series.t) // _POINTS)
         y = factor * getattr(series, field)
         ax.plot(series.t[::every], y[::every], color=colour, linewidth=0.7, alpha=0.75, zorder=2)
-        if averaged not in observed.averages:
+        found = observed.estimates.get(averaged)
+        if found is None or found.value is None or found.width is None:
             continue
-        found = observed.averages[averaged]
-        mean, half = factor * found.mean, factor * found.uncertainty
+        mean, half = factor * found.value, factor * found.width
         span = [observed.begin, series.t[-1]]
         doubt = "" if found.reliable else " (not reliable)"
         text = f"{model_name(kind)}: {mean:.4g} ± {half:.2g} {shown_unit}{doubt}"
@@ -222,10 +222,7 @@ def overlap_histogram(runs: Runs) -> Axes:
     """
     ax = new_axes()
     right = 0.0
-    for kind, (series, observed) in runs.items():
-        overlaps = observed.overlaps
-        if overlaps is None:
-            continue
+    for kind, series, overlaps in _having(runs, "overlaps"):
         colour = STYLES[kind]["color"]
         edges = 100.0 * overlaps.edges / series.facts.diameter
         drawn = slice(int(edges[0] == 0.0), None)
@@ -246,10 +243,7 @@ def pressure_spectra(runs: Runs) -> Axes:
     """Draw the spectral density of the inlet pressure; the label names the dominant frequency."""
     ax = new_axes()
     highest, lowest = 0.0, np.inf
-    for kind, (_, observed) in runs.items():
-        spectrum = observed.spectrum
-        if spectrum is None:
-            continue
+    for kind, _, spectrum in _having(runs, "spectrum"):
         style = line_style(kind)
         text = f"{model_name(kind)}: {spectrum.dominant:.3g} ± {spectrum.resolution:.2g} Hz"
         ax.plot(spectrum.frequency[1:], spectrum.density[1:], linewidth=1.5, label=text, **style)
@@ -266,10 +260,8 @@ def pressure_spectra(runs: Runs) -> Axes:
 def velocity_profiles(runs: Runs, z: float) -> Axes:
     """Draw the mean vertical velocity of the particles across the bed in the cell layer at height ``z`` [m]."""
     ax = new_axes()
-    for kind, (series, observed) in runs.items():
-        if observed.solids is None:
-            continue
-        x, v_z = velocity_profile(observed.solids, series.facts, z)
+    for kind, series, solids in _having(runs, "solids"):
+        x, v_z = velocity_profile(solids, series.facts, z)
         ax.plot(1e3 * x, v_z, linewidth=1.5, markersize=4, label=model_name(kind), **STYLES[kind])
     ax.axhline(0.0, color="0.35", linewidth=0.8, zorder=1)
     return dress(ax, "x [mm]", f"particle velocity at z = {1e3 * z:.3g} mm [m/s]")
@@ -279,13 +271,13 @@ def bubble_rise(runs: Runs) -> Axes:
     """Draw the rise velocity of every followed bubble against its diameter, and that of a single bubble."""
     ax = new_axes()
     largest, gravity = 0.0, 9.81
-    for kind, (series, observed) in runs.items():
-        if observed.tracks is None or not len(observed.tracks.diameter):
+    for kind, series, tracks in _having(runs, "tracks"):
+        if not len(tracks.diameter):
             continue
         style = STYLES[kind] | {"linestyle": "none", "markerfacecolor": "none", "markersize": 4.5}
-        label = f"{model_name(kind)}: {len(observed.tracks.diameter)} bubbles"
-        ax.plot(1e3 * observed.tracks.diameter, observed.tracks.velocity, label=label, **style)
-        largest, gravity = max(largest, float(observed.tracks.diameter.max())), series.facts.gravity
+        label = f"{model_name(kind)}: {len(tracks.diameter)} bubbles"
+        ax.plot(1e3 * tracks.diameter, tracks.velocity, label=label, **style)
+        largest, gravity = max(largest, float(tracks.diameter.max())), series.facts.gravity
     if largest > 0.0:
         diameter = np.linspace(0.0, 1.05 * largest, 100)
         ax.plot(1e3 * diameter, RISE * np.sqrt(gravity * diameter), color="0.35", label="single bubble")
@@ -295,10 +287,8 @@ def bubble_rise(runs: Runs) -> Axes:
 def fluidization_curves(runs: Runs) -> Axes:
     """Draw pressure drop over weight against gas velocity on the way down, the packed bed's curve, and U_mf."""
     ax = new_axes()
-    for kind, (_, observed) in runs.items():
-        if observed.curve is None:
-            continue
-        branch, style = observed.curve.falling, STYLES[kind]
+    for kind, _, curve in _having(runs, "curve"):
+        branch, style = curve.falling, STYLES[kind]
         ax.plot(branch.U_0, branch.drop, color=style["color"], linewidth=0.6, alpha=0.6, zorder=2)
         velocity = np.linspace(0.0, branch.U_mf, 100)
         label = f"{model_name(kind)}: U_mf = {branch.U_mf:.3f} ± {branch.uncertainty:.2g} m/s"
@@ -306,6 +296,13 @@ def fluidization_curves(runs: Runs) -> Axes:
         ax.plot([branch.U_mf], [1.0], style["marker"], color=style["color"], markerfacecolor="none")
     ax.axhline(1.0, color="0.35", linewidth=0.8, zorder=1)
     return dress(ax, "superficial gas velocity [m/s]", "pressure drop over weight per area [–]")
+
+
+def _having(runs: Runs, part: str) -> Iterator[tuple[str, BedSeries, Any]]:
+    """Yield model, series and one part of what was observed, of the runs that have it."""
+    for kind, (series, observed) in runs.items():
+        if (found := observed.get(part)) is not None:
+            yield kind, series, found
 
 
 def _field(ax: Axes, facts: BedFacts, values: Array, **colours: Any) -> Any:
@@ -325,7 +322,7 @@ def _colour_bar(figure: Figure, image: Any, axes: list[Axes], name: str) -> None
 
 
 def _depth_mean(observed: BedObservations) -> Array:
-    if observed.eps_g is None:
+    if observed.get("eps_g") is None:
         raise InputError("no mean void fraction: expected a run with gas and recorded frames")
     mean: Array = observed.eps_g.mean(axis=1)
     return mean

@@ -10,7 +10,6 @@ import numpy as np
 
 from kncal.core.errors import InputError
 from kncal.core.units import quantity
-from kncal.observe.averages import window_start
 from kncal.observe.impact_speeds import KINDS_OF_IMPACTS, STATISTICS, ImpactSpeeds, bed_impact_speeds
 from kncal.observe.run_data import RunData
 from kncal.physics.statistics import Interval
@@ -47,8 +46,7 @@ def speeds_section(runs: tuple[RunData, ...], album: Album) -> Section:
                 " the same command with --rerun records them."
             )
             continue
-        begin, _, doubt = window_start(data.series, data.model.scene.run.discard)
-        speeds = bed_impact_speeds(data.series, begin, doubt)
+        speeds = bed_impact_speeds(data.series, data.seen.begin, data.seen.window.doubt)
         for kind in KINDS_OF_IMPACTS:
             v_0 = data.model.between(PARTICLES, kind).v_0
             rows.append(_row(name, speeds[kind], v_0))

@@ -114,8 +114,8 @@ def run_speeds(folder: Path) -> RunSpeeds:
 
 def _of_bed(data: RunData) -> RunSpeeds:
     scene, series, species = data.model.scene, data.series, data.model.species
-    begin, _, doubt = window_start(series, scene.run.discard)
-    speeds = bed_impact_speeds(series, begin, doubt)
+    window = window_start(series, scene.run.discard)
+    speeds = bed_impact_speeds(series, window.begin, window.doubt)
     pairs = {
         b.name: MetPair(
             names=(a.name, b.name),
@@ -128,11 +128,11 @@ def _of_bed(data: RunData) -> RunSpeeds:
     return RunSpeeds(
         scene=scene,
         model=data.model.kind,
-        begin=begin,
+        begin=window.begin,
         end=float(series.t[-1]),
         speeds=speeds,
         pairs=pairs,
-        enduring=enduring(series, begin, pairs[PARTICLES].contact.t_c),
+        enduring=enduring(series, window.begin, pairs[PARTICLES].contact.t_c),
     )
 
 

@@ -139,7 +139,7 @@ def test_the_worst_plateau_is_the_metric() -> None:
     assert [p.ratio for p in ergun_plateaus(mixed, GAS)] == pytest.approx([1.0, 1.05], abs=1e-5)
     seen = observe_bed(mixed, gas=GAS)
     assert (seen.kind, seen.begin, len(seen.plateaus)) == ("frozen", 0.0, 2)
-    assert "different states" in seen.missing["pressure_drop"]
+    assert "different states" in seen.why_not("pressure_drop")
 
 
 def test_what_has_no_gradient_is_refused() -> None:

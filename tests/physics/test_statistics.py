@@ -15,7 +15,6 @@ from kncal.physics.statistics import (
     average,
     average_of_samples,
     correlation_samples,
-    difference,
     needed_length,
     start_up,
 )
@@ -135,38 +134,6 @@ def test_whole_periods_leave_an_error_of_nearly_nothing_but_finite_numbers():
     assert abs(found.mean) < 1e-12
     assert 0.0 < found.uncertainty < 0.01
     assert math.isfinite(found.n_effective)
-
-
-def test_equal_means_are_rarely_called_different_and_unequal_ones_always():
-    false, missed = 0, 0
-    for seed in range(200):
-        a = average(times(2000), correlated(2000, 3.0, 2 * seed), discard=0.0)
-        b = average(times(2000), correlated(2000, 3.0, 2 * seed + 1), discard=0.0)
-        false += difference(a, b).significant
-        c = average(times(2000), 1.0 + correlated(2000, 3.0, 2 * seed + 1), discard=0.0)
-        missed += not difference(a, c).significant  # true distance: 9 standard errors
-    assert false <= 18  # 5 % promised, 10 expected
-    assert missed <= 10  # only where an average is called unreliable: drift by chance, 1 % of each
-
-
-def test_a_difference_of_unreliable_averages_is_none():
-    short = average(times(100), correlated(100, 30.0, 1), discard=0.0)
-    far = average(times(100), 1e3 + correlated(100, 30.0, 2), discard=0.0)
-    found = difference(far, short)
-    assert found.value > found.uncertainty
-    assert not found.significant
-    assert "first:" in found.why
-    assert "second:" in found.why
-
-
-def test_difference_is_relative_to_the_second():
-    a, b = average(times(50), np.full(50, 11.0)), average(times(50), np.full(50, 10.0))
-    found = difference(a, b)
-    assert found.value == pytest.approx(1.0)
-    assert found.relative == pytest.approx(0.1)
-    assert found.significant
-    zero = average(times(50), np.zeros(50))
-    assert difference(a, zero).relative is None
 
 
 def test_needed_length_gives_the_precision_it_predicts():

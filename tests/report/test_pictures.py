@@ -39,10 +39,10 @@ def legend(ax) -> str:
 @pytest.mark.parametrize("name", plots.SIGNALS)
 def test_signals_show_their_averages(runs, name):
     ax = plots.signal_time(runs, name)
-    average = runs["hertz"][1].averages[plots.SIGNALS[name][2]]
+    average = runs["hertz"][1].estimates[plots.SIGNALS[name][2]]
     factor = ax.get_lines()[2].get_ydata()[0] / getattr(runs["hertz"][0], name)[0]
     mean = next(line for line in ax.get_lines() if line.get_label().startswith("Hertz"))
-    np.testing.assert_allclose(mean.get_ydata(), factor * average.mean)
+    np.testing.assert_allclose(mean.get_ydata(), factor * average.value)
     np.testing.assert_allclose(mean.get_xdata(), [0.5, 1.5])
     assert ("not reliable" in mean.get_label()) == (not average.reliable)
 
