@@ -255,19 +255,21 @@ def falling_particle(page: Path) -> None:
 def wall_impact(page: Path) -> None:
     """Fill the page of the wall impact over e_n and v_0."""
     rows: list[list[str]] = []
+    each: dict[str, None] = {}
     same: dict[str, dict[tuple[str, str], dict[str, Any]]] = {}
     for words in commands(page):
         values = dict(words[i + 1].split("=") for i, word in enumerate(words) if word == "--set")
         trade = read(Path(words[words.index("--out") + 1]).name)
         e_n, v_0 = values["contact.e_n"], values[VELOCITY].strip("[]").split(",")[2].lstrip("- ")
-        # Nobody takes as many steps as the reference.
-        rows += [[e_n, v_0, *row[:3], *row[4:]] for row in savings(trade, ("e_n",))]
+        each[e_n] = None
+        rows.append([e_n, v_0])
+        for _, found, _, _, over_usual, signs in savings(trade, ("e_n",)):
+            rows[-1] += [f"{found}{' *' if signs else ''}", over_usual]
         for point in trade["points"]:
             plain = point["candidate"]["how"] in ("mean_overlap", "softened") and point["status"] == "completed"
             if plain and _n(point) == 50:
                 same.setdefault(contact(point["candidate"]), {})[e_n, v_0] = point
-    fill(page, "savings", table(["e_n", "v_0 [m/s]", *SAVINGS[:3], *SAVINGS[4:]], rows))
-    each = list(dict.fromkeys(row[0] for row in rows))
+    fill(page, "savings", table(["e_n", "v_0 [m/s]", "inside 1 %", "steps", "inside 5 %", "steps"], rows))
     soft = []
     for name, points in same.items():
         spans = [span([error(p, "e_n") for key, p in points.items() if key[0] == e_n]) for e_n in each]
