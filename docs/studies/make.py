@@ -204,7 +204,7 @@ def softened(trade: dict[str, Any], steps: float, metrics: Sequence[str], with_c
     for point in trade["points"]:
         candidate = point["candidate"]
         plain = candidate["how"] in ("softened", "reduced_modulus") or candidate["factor"] == 1.0
-        if not plain or _n(point) != steps:
+        if not plain or _n(point) != steps or not _power_of_ten(candidate["factor"]):
             continue
         if point["status"] != "completed":
             reason = f"{point['status']} ({point['message'].partition(',')[0]})"
@@ -215,6 +215,10 @@ def softened(trade: dict[str, Any], steps: float, metrics: Sequence[str], with_c
     heads = [*(["CPU [s]"] if with_cpu else []), *(f"{metric} [%]" for metric in metrics), "what softness changed"]
     text = table(["contact", "k_n", "steps", *heads], rows)
     return "\n\n".join([text, *(f"Not in the table: {'; '.join(names)}: {why}." for why, names in without.items())])
+
+
+def _power_of_ten(factor: float | None) -> bool:
+    return math.isclose(power := math.log10(factor or 1.0), round(power), abs_tol=1e-9)
 
 
 def changed(point: dict[str, Any]) -> str:
