@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from kncal.core.units import quantity
+from kncal.observe.estimate import DOUBT
 
 HERE = Path(__file__).resolve().parent
 RUNS = Path("runs/studies")
@@ -77,9 +78,10 @@ def read(folder: str) -> dict[str, Any]:
 def error(point: dict[str, Any], metric: str) -> tuple[float, float] | None:
     """Return the error of a point in a metric and its uncertainty, None where it has none."""
     found = point["errors"].get(metric)
-    if found is None or found["error"] is None:
+    if found is None or found["difference"] is None:
         return None
-    return found["error"], found["uncertainty"] or 0.0
+    doubt = 1.0 if found["reliable"] else DOUBT
+    return found["difference"], doubt * (found["difference_width"] or 0.0)
 
 
 def share(found: tuple[float, float] | None) -> str:

@@ -122,24 +122,20 @@ def _factors(given: Iterable[str]) -> tuple[float, ...]:
 
 
 def _print(result: TradeResult) -> None:
-    from kncal.study.trade.report import NEAR, point_table, shown_points
+    from kncal.study.trade.report import NEAR, brief_table, shown_points, shown_title
 
-    shown, conclusion = result.trade, result.conclusion
+    shown, conclusion, said = result.trade, result.conclusion, result.answer
     near = shown_points(shown, conclusion)
-    front = [shown.reference, *near]
-    found = point_table(shown, conclusion, front)
-    title = f"{shown.case}: the contacts that ran" if shown.bed else f"{shown.case}: the Pareto front"
-    show.table(title, found.headings, found.rows, text=found.text)
-    if not shown.bed and len(near) < len(conclusion.front):
-        show.say(
-            f"{len(conclusion.front) - len(near)} points, over a tolerance more than {NEAR:g} times, are not shown."
-        )
-    for sentence in result.sentences:
-        show.say(sentence)
-    lost = [point for point in shown.points if not point.completed]
-    if lost:
-        show.say(f"{len(lost)} of {len(shown.points)} points have no numbers; the report names each with the reason.")
-    show.say(f"report: {result.page}")
+    found = brief_table(shown, conclusion, [shown.reference, *near])
+    show.table(f"{shown.case}: {shown_title(shown).lower()}", found.headings, found.rows, text=found.text)
+    if not shown.estimated and (far := len(conclusion.front) - len(near)):
+        show.say(f"{far} more points of the front are more than {NEAR:g} times outside a tolerance.")
+    show.say(said.sentence)
+    for point in said.points:
+        show.say(f"- {point}")
+    if lost := sum(not point.completed for point in shown.points):
+        show.say(f"{lost} of {len(shown.points)} points have no numbers; the report names each with the reason.")
+    show.say(f"report, with all details: {result.page}")
     if result.case is not None:
         model = "" if conclusion.chosen is None else conclusion.chosen.candidate.model
         show.say(

@@ -12,20 +12,22 @@ from compared_beds import run_data
 
 from kncal.engines.settle import to_settle
 from kncal.observe.compare import compare
+from kncal.observe.difference import rows_between
 from kncal.observe.run_data import observed
 from kncal.record.steps import REACTION_LIMIT
 from kncal.runs.workflow import load
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import dump_case, load_case
 from kncal.scene.load import bottom_overlaps
-from kncal.study import Variant
+from kncal.study import Variant, VariantRun
+from kncal.study.trade import averaged
 from kncal.study.trade import run as loop
 from kncal.study.trade import runs as bed_runs
 from kncal.study.trade.candidates import START_OVERLAP, STIFF, contacts, fluidised, settling_spring, shared_case
-from kncal.study.trade.errors import bed_errors, bed_splits
+from kncal.study.trade.errors import NAMES, average_splits
 from kncal.study.trade.reference import reference_steps
-from kncal.study.trade.run import trade_bed
-from kncal.study.trade.runs import BedRuns, load_part
+from kncal.study.trade.run import trade_scene
+from kncal.study.trade.runs import Runs, load_part
 from kncal.study.trade.trade import Candidate, TradeOptions
 
 pytestmark = pytest.mark.slow
@@ -56,8 +58,12 @@ def chain():
     }
 
 
+def errors_of(run, reference, tolerances):
+    return {row.metric: row for row in rows_between(run, reference, tolerances, NAMES)}
+
+
 def judged(name: str, chain, of: Candidate):
-    return of, chain[name], bed_errors(chain[name], chain["reference"], {})
+    return of, chain[name], errors_of(chain[name], chain["reference"], {})
 
 
 def test_the_split_finds_each_part_and_leaves_nothing(chain):
@@ -66,12 +72,12 @@ def test_the_split_finds_each_part_and_leaves_nothing(chain):
         judged("softened", chain, candidate("softened", 0.1, 50.0)),
         judged("coarse", chain, candidate("softened", 0.1, 10.0)),
     ]
-    splits = bed_splits(points, chain["reference"], 50.0)
+    splits = average_splits(points, chain["reference"], 50.0)
     split = next(s for s in splits[points[2][0].name] if s.metric == Z)
     for part, known in ((split.discretisation, 0.20), (split.softness, 0.10), (split.model, 0.05)):
         # intervals of 95 %: twice the width is missed by one in ten thousand
-        assert abs(part.value - known) <= 2.0 * part.uncertainty
-        assert part.uncertainty < 0.05
+        assert abs(part.value - known) <= 2.0 * part.width
+        assert part.width < 0.05
     assert split.interaction == pytest.approx(0.0, abs=1e-12)
     assert split.missing == ()
     fine = next(s for s in splits[points[1][0].name] if s.metric == Z)
@@ -81,15 +87,15 @@ def test_the_split_finds_each_part_and_leaves_nothing(chain):
 
 def test_a_part_within_its_interval_is_not_resolved(chain):
     run, of = mean_height("linear", 9, 0.0), candidate("mean_overlap", 1.0, 50.0)
-    same = of, run, bed_errors(run, chain["reference"], {})
-    (split,) = (s for s in bed_splits([same], chain["reference"], 50.0)[of.name] if s.metric == Z)
-    assert not split.model.resolved
+    same = of, run, errors_of(run, chain["reference"], {})
+    (split,) = (s for s in average_splits([same], chain["reference"], 50.0)[of.name] if s.metric == Z)
+    assert not split.model.significant
     assert split.model.value == split.total.value
 
 
 def test_parts_that_were_not_run_are_missing(chain):
     coarse = judged("coarse", chain, candidate("softened", 0.1, 10.0))
-    (split,) = (s for s in bed_splits([coarse], chain["reference"], 50.0)[coarse[0].name] if s.metric == Z)
+    (split,) = (s for s in average_splits([coarse], chain["reference"], 50.0)[coarse[0].name] if s.metric == Z)
     assert (split.discretisation, split.softness, split.model, split.interaction) == (None, None, None, None)
     assert len(split.missing) == 3
 
@@ -99,14 +105,14 @@ def test_errors_are_those_of_a_comparison_of_two_beds():
     linear, hertz = run_data("linear", 5, means={"z_mean": 0.0105}), run_data("hertz", 6)
     tolerances = {Z: 0.2, "eps_g": 0.1, "pressure_drop": 0.02, "overlap_mean": 0.001}
     rows = {row.metric: row for row in compare(linear, hertz, tolerances).rows}
-    found = bed_errors(observed(linear), observed(hertz), tolerances)
+    found = errors_of(observed(linear), observed(hertz), tolerances)
     assert set(found) == set(rows)
-    for name, limit in tolerances.items():
-        assert found[name].verdict(limit) == rows[name].verdict
-    assert found[Z].error == rows[Z].difference.value
-    two = bed_errors(observed(run_data("hertz", 7)), observed(hertz), {})
+    for name in tolerances:
+        assert found[name].verdict == rows[name].verdict
+    assert found[Z].difference.value == rows[Z].difference.value
+    two = errors_of(observed(run_data("hertz", 7)), observed(hertz), {})
     assert "relative to reference" in two[Z].basis
-    assert abs(two[Z].error) <= 2.0 * two[Z].uncertainty
+    assert abs(two[Z].difference.value) <= 2.0 * two[Z].difference.width
 
 
 @pytest.mark.parametrize(("rms", "noise"), [(0.05, 0.001), (0.02, 0.02), (0.11, 0.02)])
@@ -115,7 +121,7 @@ def test_the_interval_of_a_field_decides_as_its_row_does(rms, noise, monkeypatch
     linear, hertz = run_data("linear", 5), run_data("hertz", 6)
     for limit in (0.01, 0.045, 0.06, 0.1, 0.2):
         row = compare(linear, hertz, {"eps_g": limit}).row("eps_g")
-        assert bed_errors(observed(linear), observed(hertz), {"eps_g": limit})["eps_g"].verdict(limit) == row.verdict
+        assert errors_of(observed(linear), observed(hertz), {"eps_g": limit})["eps_g"].verdict == row.verdict
 
 
 # --- candidates and starts ----------------------------------------------------
@@ -228,20 +234,24 @@ def test_all_candidates_settle_alike_however_many_particles_there_are(tmp_path, 
 # --- runs in part -------------------------------------------------------------
 
 
-def ran(*spans: tuple[int, float], couplings: int = 1000) -> BedRuns:
-    return BedRuns(case="nowhere", folder=Path("nowhere"), spans={"run": list(spans)}, couplings={"run": couplings})
+def ran(*spans: tuple[int, float], couplings: int = 1000) -> Runs:
+    done, cpu = spans[-1]
+    status = "completed" if done == couplings else "timed_out"
+    ended = VariantRun(variant=Variant(name="run", model="linear"), status=status, cpu_seconds=(cpu,))
+    there = {"spans": {"run": list(spans)}, "couplings": {"run": couplings}, "ended": {"run": ended}}
+    return Runs(case="nowhere", folder=Path("nowhere"), **there)
 
 
 def test_cpu_time_is_extrapolated_from_what_followed_the_start_up():
     # 0.1 s a coupling at the start, 0.2 s later
     run = ran((100, 10.0), (300, 50.0), (500, 90.0))
-    assert run.whole("run") == pytest.approx((200.0, 200.0))
+    assert run.seconds("run") == pytest.approx((200.0, 200.0))
     assert run.rates("run") == pytest.approx((0.1, 0.2))
     assert run.share("run") == pytest.approx(0.5)
-    assert ran((100, 10.0)).whole("run") == pytest.approx((100.0,))
+    assert ran((100, 10.0)).seconds("run") == pytest.approx((100.0,))
     assert ran((100, 10.0)).rates("run") == ()
-    assert ran((1000, 77.0)).whole("run") == (77.0,)  # completed: measured
-    assert ran((100, 10.0), (1000, 77.0)).whole("run") == (77.0,)
+    assert ran((1000, 77.0)).seconds("run") == (77.0,)  # completed: measured
+    assert ran((100, 10.0), (1000, 77.0)).seconds("run") == (77.0,)
 
 
 # --- for real -----------------------------------------------------------------
@@ -253,7 +263,7 @@ OPTIONS = TradeOptions(
 
 def folders_of(trade: Path, *points):
     """The run folders of points: asked for without running anything."""
-    runs = BedRuns(case=next((trade / "start").iterdir()), folder=trade / "runs")
+    runs = Runs(case=next((trade / "start").iterdir()), folder=trade / "runs", apart=True)
     runs.run([point.candidate for point in points], look=True)
     return [runs.ended[point.candidate.name].folder for point in points]
 
@@ -263,7 +273,7 @@ def test_a_small_bed_is_traded_to_its_end(tmp_path):
     scene = mini(0.012)
     case = written(scene, tmp_path)
     said: list[str] = []
-    trade = trade_bed(case, scene, tmp_path / "trade", OPTIONS, said.append)
+    trade = trade_scene(case, scene, tmp_path / "trade", OPTIONS, said.append)
     reference = trade.reference
     assert reference.completed
     assert reference.ran_share == pytest.approx(1.0)
@@ -280,7 +290,7 @@ def test_a_small_bed_is_traded_to_its_end(tmp_path):
     # the same numbers as a comparison of the same two run folders
     linear, hertz = (load(folder) for folder in folders_of(tmp_path / "trade", hard, reference))
     row = compare(linear, hertz).row("z_mean")
-    assert hard.errors["z_mean"].error == row.difference.value
+    assert hard.errors["z_mean"].difference.value == row.difference.value
     assert hard.cpu_seconds == pytest.approx((linear.result.cpu_seconds,))
     assert linear.series.reaction_error.max() <= REACTION_LIMIT
     names = {sign.name for sign in soft.signs}
@@ -291,31 +301,42 @@ def test_a_small_bed_is_traded_to_its_end(tmp_path):
         assert ten > one
     # again: nothing runs, and the same comes out
     said.clear()
-    again = trade_bed(case, scene, tmp_path / "trade", OPTIONS, said.append)
+    again = trade_scene(case, scene, tmp_path / "trade", OPTIONS, said.append)
     assert again.point(hard.candidate.name).errors == hard.errors
     assert said == ["one start for all runs"]
 
 
 @pytest.mark.solver
 def test_runs_that_a_budget_stopped_go_on(tmp_path, monkeypatch):
-    monkeypatch.setattr(loop, "SHORTEST", 0.5)
+    monkeypatch.setattr(averaged, "SHORTEST", 0.5)
     monkeypatch.setattr(loop, "REST", 0.2)
     monkeypatch.setattr(bed_runs, "OVERHEAD", 0.5)
     scene = mini(20.0)
     case = written(scene, tmp_path)
     told: list[str] = []
-    first = trade_bed(case, scene, tmp_path / "trade", replace(OPTIONS, budget=8.0), told.append)
+    first = trade_scene(case, scene, tmp_path / "trade", replace(OPTIONS, budget=8.0), told.append)
     assert 0.0 < first.reference.ran_share < 1.0
     assert any("in part" in caveat for caveat in first.caveats)
-    second = trade_bed(case, scene, tmp_path / "trade", replace(OPTIONS, budget=12.0), told.append)
+    second = trade_scene(case, scene, tmp_path / "trade", replace(OPTIONS, budget=12.0), told.append)
     shares = [[point.ran_share for point in (trade.reference, *trade.points)] for trade in (first, second)]
     assert all(after >= before for before, after in zip(*shares, strict=True))
     assert sum(shares[1]) > sum(shares[0])
-    assert not list(tmp_path.glob("trade/runs/round-1/*/runs/*/attempt-*"))  # none began anew
+    assert not list(tmp_path.glob("trade/runs/**/attempt-*"))  # none began again
     (run,) = folders_of(tmp_path / "trade", second.reference)
     series = load_part(run).series
     assert np.array_equal(series.coupling, np.arange(1, len(series.t) + 1))
     assert len(series.t) / couplings_of(scene) == pytest.approx(second.reference.ran_share)
+
+
+@pytest.mark.solver
+def test_a_candidate_of_the_same_model_runs_beside_the_reference(tmp_path):
+    scene = mini(20.0)
+    top, tried = contacts(written(scene, tmp_path), OPTIONS)
+    other = next(c for c in tried if c.model == "hertz" and c.factor == 0.1)
+    runs = Runs(case=tmp_path / "bed", folder=tmp_path / "runs", workers=2, apart=True)
+    reference, beside = top.at(10.0), other.at(10.0)
+    runs.run_beside(reference, [beside], seconds=6.0, limit=2.0)
+    assert [runs.ended[c.name].status for c in (reference, beside)] == ["timed_out", "timed_out"]
 
 
 def couplings_of(scene: BedScene) -> int:

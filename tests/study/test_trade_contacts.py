@@ -14,7 +14,7 @@ from kncal.scene.case_file import load_scene
 from kncal.scene.plan import plan
 from kncal.study.trade.candidates import contacts, softened, softer_materials
 from kncal.study.trade.errors import Reference, converge
-from kncal.study.trade.run import trade_contacts
+from kncal.study.trade.run import trade_scene
 from kncal.study.trade.trade import TradeOptions
 from kncal.study.trade.workflow import run_trade
 from kncal.study.variants import texts
@@ -106,15 +106,15 @@ def test_the_split_of_a_softened_impact_is_the_difference_of_closed_forms(found,
     name = f"linear-mean_overlap-over-10-N{steps}"
     (split,) = (s for s in found.trade.splits[name] if s.metric == metric)
     # the parts carry the discretisation error of the converged runs, predicted for the worst sub-step phase
-    assert abs(split.softness.value - (soft - unsoftened) / real) <= PREDICTION_MARGIN * split.softness.uncertainty
-    assert abs(split.model.value - (unsoftened - real) / real) <= PREDICTION_MARGIN * split.model.uncertainty
+    assert abs(split.softness.value - (soft - unsoftened) / real) <= PREDICTION_MARGIN * split.softness.width
+    assert abs(split.model.value - (unsoftened - real) / real) <= PREDICTION_MARGIN * split.model.width
     # and these errors are small against what is split
-    assert split.softness.uncertainty <= 0.02 * max(abs(soft / real), 1.0)
+    assert split.softness.width <= 0.02 * max(abs(soft / real), 1.0)
     # the step: at most the worst error predicted at its N, of the softened contact
     from kncal.physics.timestep import predict_error
 
     worst = predict_error("linear", 0.6, float(steps)).worst[metric] * soft / real
-    assert abs(split.discretisation.value) <= PREDICTION_MARGIN * worst + split.discretisation.uncertainty
+    assert abs(split.discretisation.value) <= PREDICTION_MARGIN * worst + split.discretisation.width
     # of numbers the parts add up
     assert split.interaction == pytest.approx(0.0, abs=1e-12 * max(1.0, abs(split.total.value)))
 
@@ -124,7 +124,7 @@ def test_a_reduced_modulus_is_softness_alone(found):
     (split,) = (s for s in found.trade.splits["hertz-E-over-10-N50"] if s.metric == "delta_max")
     assert split.model is None
     expected = of_hertz(FACTOR * k_h)["delta_max"] / of_hertz(k_h)["delta_max"] - 1.0
-    assert abs(split.softness.value - expected) <= PREDICTION_MARGIN * split.softness.uncertainty
+    assert abs(split.softness.value - expected) <= PREDICTION_MARGIN * split.softness.width
 
 
 def test_paths_are_apart_by_no_more_than_their_parts_together(found):
@@ -162,7 +162,7 @@ def test_the_error_of_every_point_covers_the_exact_error_of_its_contact(found):
         for metric in ("e_n", "delta_max"):
             e = p.errors[metric]
             # the interval goes up to the converged error plus the worst of all phases
-            limit = abs(e.error) + e.uncertainty
+            limit = abs(e.difference.value) + e.difference.width
             assert abs(own[metric] / real[metric] - 1.0) <= PREDICTION_MARGIN * limit
 
 
@@ -178,7 +178,7 @@ def test_the_chosen_case_runs_and_repeats_the_error(found, tmp_path):
     metrics = load(tmp_path / "out" / kind).observations.metrics
     for metric in ("e_n", "delta_max"):
         # the same steps, but for the end
-        assert metrics[metric] == pytest.approx(chosen.errors[metric].value, rel=1e-9)
+        assert metrics[metric] == pytest.approx(chosen.errors[metric].run.value, rel=1e-9)
 
 
 def test_the_files_of_a_trade(found):
@@ -192,13 +192,13 @@ def test_the_files_of_a_trade(found):
     assert len(table) == len(found.trade.points) + 1
     assert list(table.loc[table["chosen"], "name"]) == [data["chosen"]]
     page = found.page.read_text("utf-8")
-    assert found.sentences[0].split(":")[0] in page
+    assert found.answer.sentence.split(":")[0] in page
     assert {"front.png", "split.png", "law.png"} <= {path.name for path in found.page.parent.iterdir()}
 
 
 def test_the_same_trade_again_runs_nothing(found):
     before = {path: path.stat().st_mtime_ns for path in found.folder.glob("screening/**/result.json")}
-    again = trade_contacts("wall_impact", load_scene("wall_impact"), found.folder, found.trade.options, lambda _: None)
+    again = trade_scene("wall_impact", load_scene("wall_impact"), found.folder, found.trade.options, lambda _: None)
     assert {path: path.stat().st_mtime_ns for path in found.folder.glob("screening/**/result.json")} == before
     assert again.points == found.trade.points
 
@@ -271,7 +271,9 @@ def test_values_from_outside_hold_for_all_and_for_the_chosen_case(tmp_path):
         factors=(1.0,), steps=(50.0,), overlaps=(), rounds=1, engine="builtin", tolerances={"e_n": 0.2}
     )
     result = run_trade("wall_impact", tmp_path, options, overrides=["contact.e_n=0.5"])
-    assert {p.errors["e_n"].reference for p in result.trade.points} == {result.trade.convergence.values["e_n"][-1]}
+    assert {p.errors["e_n"].reference.value for p in result.trade.points} == {
+        result.trade.convergence.values["e_n"][-1]
+    }
     assert result.trade.convergence.values["e_n"][-1] == pytest.approx(
         0.5, rel=result.trade.convergence.left["e_n"] + 1e-9
     )

@@ -1,15 +1,18 @@
-"""What a trade says: sentences, and everything as plain data."""
+"""What a trade says: a verdict with its points, and everything as plain data."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import is_dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from kncal.core.units import quantity
+from kncal.observe.estimate import Estimate
+from kncal.observe.row import Row, allowed, difference_text, needed_end
+from kncal.observe.verdict import Verdict
 from kncal.study.trade.cost_law import Law
 from kncal.study.trade.front import Conclusion, SpeedUp, Turn, changed, cost, failing, verdict, worst_ratio
 from kncal.study.trade.trade import Candidate, Trade, TradePoint
@@ -17,18 +20,26 @@ from kncal.study.trade.trade import Candidate, Trade, TradePoint
 if TYPE_CHECKING:
     import pandas as pd
 
+#: Points under the sentence of a verdict; the rest are details.
+MOST_POINTS = 5
+
 
 def describe(candidate: Candidate) -> str:
     """Return a candidate in words."""
-    steps = f"{candidate.steps_per_contact:g} steps per contact"
+    return f"{contact_text(candidate)}, {candidate.steps_per_contact:g} steps per contact"
+
+
+def contact_text(candidate: Candidate) -> str:
+    """Return the contact of a candidate in words, without its number of steps."""
     share = "" if candidate.factor is None else shown_factor(candidate.factor)
+    limit = candidate.variant.changes.get("contact.options") or {}
     return {
-        "reference": f"Hertz, real modulus, {steps}",
-        "reduced_modulus": f"Hertz, {'real modulus' if candidate.factor == 1.0 else f'modulus {share}'}, {steps}",
-        "softened": f"linear, k_n {share}, {steps}",
-        "limited_overlap": f"linear, overlap limited (k_n {share or 'given by it'}), {steps}",
-        "prescribed": f"linear, k_n as prescribed, {steps}",
-    }.get(candidate.how, f"linear, k_n by {candidate.how}, {steps}")
+        "reference": "Hertz, real modulus",
+        "reduced_modulus": f"Hertz, {'real modulus' if candidate.factor == 1.0 else f'modulus {share}'}",
+        "softened": f"linear, k_n {share}",
+        "limited_overlap": f"linear, overlap at most {100.0 * limit.get('fraction', 0.0):g} %",
+        "prescribed": "linear, k_n as prescribed",
+    }.get(candidate.how, f"linear, k_n by {candidate.how}")
 
 
 def shown_factor(factor: float) -> str:
@@ -38,135 +49,110 @@ def shown_factor(factor: float) -> str:
     return f"/ {round(share)}" if whole else f"× {factor:.3g}"
 
 
-def sentences(trade: Trade, conclusion: Conclusion, laws: Sequence[Law]) -> tuple[str, ...]:
-    """Return the answer, then what it rests on."""
-    return (
-        _choice(trade, conclusion),
-        *_changed(trade, conclusion),
-        *(_saving(saved) for saved in conclusion.speed_ups),
-        *_turns(conclusion.turns),
-        *(text for law in laws for text in law.sentences),
-        *trade.caveats,
+def answer(trade: Trade, conclusion: Conclusion, laws: Sequence[Law]) -> Verdict:
+    """Return the answer: one sentence, at most `MOST_POINTS` points, and what it rests on as details."""
+    chosen = conclusion.chosen
+    state = "within" if chosen else "undecided" if conclusion.promising else "outside"
+    points = [*_nearly(trade, conclusion), *_changed(trade, conclusion)]
+    points += [*map(_saving, conclusion.speed_ups), *_turns(conclusion.turns)]
+    details = [*points[MOST_POINTS:], *(text for law in laws for text in law.sentences), *trade.caveats]
+    return Verdict(
+        state=state,
+        sentence=_choice(trade, conclusion),
+        points=tuple(points[:MOST_POINTS]),
+        details=tuple(details),
     )
 
 
 def _choice(trade: Trade, conclusion: Conclusion) -> str:
     limits = ", ".join(f"{metric} {100.0 * limit:g} %" for metric, limit in trade.tolerances.items())
-    chosen = conclusion.chosen
-    if chosen is not None:
-        k_n = "" if chosen.k_n is None else f", k_n = {quantity(chosen.k_n, 'N/m', 3)}"
-        return f"Cheapest contact inside the tolerances ({limits}): {describe(chosen.candidate)}{k_n}."
-    if conclusion.nearest is None:
-        return f"No contact is inside the tolerances ({limits}): no point completed."
-    if trade.bed:
-        return f"No contact is surely inside the tolerances ({limits}): {_of_bed(trade, conclusion)}"
-    nearest = conclusion.nearest
-    return (
-        f"No contact is surely inside the tolerances ({limits}). Nearest: {describe(nearest.candidate)}; "
-        f"there {_there(nearest, trade)}."
-    )
+    if conclusion.chosen is not None:
+        return f"The cheapest contact within the tolerances ({limits}): {_with_stiffness(conclusion.chosen)}."
+    ran = [verdict(p) for p in trade.points if p.completed]
+    told = {"outside": "outside", "undecided": "undecided", "missing": "without a metric that has a tolerance"}
+    counts = ", ".join(f"{number} {text}" for word, text in told.items() if (number := ran.count(word)))
+    of = f"of {len(ran)} that ran, {counts}" if ran else "none completed"
+    return f"No contact is surely within the tolerances ({limits}): {of}."
 
 
-def _of_bed(trade: Trade, conclusion: Conclusion) -> str:
-    """Say whether the contacts of a bed are outside or only undecided, and what would decide."""
-    ran = [verdict(p, trade.tolerances) for p in trade.points if p.completed]
-    counts = {word: ran.count(word) for word in ("outside", "undecided", "missing")}
-    told = {"outside": "surely outside", "undecided": "only undecided", "missing": "without a metric that has one"}
-    of = ", ".join(f"{number} {told[word]}" for word, number in counts.items() if number)
+def _with_stiffness(point: TradePoint) -> str:
+    k_n = "" if point.k_n is None else f", k_n = {quantity(point.k_n, 'N/m', 3)}"
+    return describe(point.candidate) + k_n
+
+
+def _nearly(trade: Trade, conclusion: Conclusion) -> Iterator[str]:
+    """Where none is surely within: the cheapest that may be, and what decides; else the nearest."""
     point = conclusion.promising
-    if point is None:
-        nearest = conclusion.nearest
-        last = "" if nearest is None else f" Nearest: {describe(nearest.candidate)}; there {_there(nearest, trade)}."
-        return f"of {len(ran)} that ran, {of}.{last}"
-    return (
-        f"of {len(ran)} that ran, {of}. The cheapest that may be inside: {describe(point.candidate)}; "
-        f"there {_there(point, trade)}. {_decides(trade, point)}"
-    )
+    if point is not None:
+        yield f"The cheapest that may be within: {_with_stiffness(point)}; {_there(point)}."
+        yield _decides(trade, point)
+    elif conclusion.nearest is not None:
+        yield f"The nearest: {_with_stiffness(conclusion.nearest)}; {_there(conclusion.nearest)}."
 
 
-def _there(point: TradePoint, trade: Trade) -> str:
-    return ", ".join(
-        f"{metric} " + ("not computed" if ratio == math.inf else _failing(point, metric, ratio, trade))
-        for metric, ratio in failing(point, trade.tolerances).items()
-    )
+def _there(point: TradePoint) -> str:
+    return ", ".join(f"{row.metric} {error_text(row)} ({allowed(row.tolerance)} allowed)" for row in failing(point))
+
+
+def error_text(row: Row) -> str:
+    """Return an error with the uncertainty that decides, in percent; "–" if it could not be computed."""
+    return difference_text(replace(row, difference=replace(row.difference, width=row.difference.deciding)))
+
+
+def needed_end_time(point: TradePoint) -> float | None:
+    """Return the simulated time [s] at which nothing of a point is undecided; None if it is not known."""
+    return needed_end(point.judged.values())
 
 
 def _decides(trade: Trade, point: TradePoint) -> str:
-    """Say how long a point of a bed and the reference have to run until nothing of the point is undecided."""
-    needed = needed_end_time(trade, point)
+    """Say how long a point and the reference have to run until nothing of the point is undecided."""
+    needed = needed_end_time(point)
     if needed is None:
-        return "How long a run would decide is not known: more than 100 times as long, or it cannot be predicted."
-    ends = f"it and the reference have to come to about {needed:.2g} s of simulated time"
+        if not trade.estimated:
+            return "To decide, try more steps per contact (--steps), or allow more."
+        return "What decides is not known: more than 100 times as long a run, or it cannot be predicted."
     more, end = 0.0, math.inf
     for p in (point, trade.reference):
         price = cost(trade, p)
         if not price or not p.steps or not p.dt:
-            return f"To decide, {ends}."
+            return f"To decide, it and the reference must run until about {needed:.2g} s."
         length = p.steps * p.dt  # of the whole run [s]
         end = min(end, length)
         more += price * max(needed / length - p.ran_share, 0.0)
-    shares = " and ".join(f"{100.0 * p.ran_share:.0f} %" for p in (point, trade.reference))
-    now = f"now {shares} of {end:.3g} s"
     if needed <= end:
-        return (
-            f"To decide, {ends} ({now}): about {more:.2g} CPU s more for the two; a larger --budget goes on with them."
-        )
-    whole = sum((cost(trade, p) or 0.0) for p in (point, trade.reference)) * needed / end
+        how = "a larger --budget continues them"
+    else:
+        how = f"set run.end_time to {needed:.2g} or more"
+        more = sum((cost(trade, p) or 0.0) for p in (point, trade.reference)) * needed / end
+    shares = " and ".join(f"{p.ran_share * end:.2g} s" for p in (point, trade.reference))
     return (
-        f"To decide, {ends} ({now}): run.end_time = {needed:.2g} or more, which takes about {whole:.2g} CPU s"
-        " for the two."
+        f"To decide, it and the reference must run until about {needed:.2g} s (now {shares}): {how} ({more:.2g} CPU s)."
     )
 
 
 def _changed(trade: Trade, conclusion: Conclusion) -> Iterator[str]:
     chosen, other = conclusion.chosen, conclusion.unchanged
-    found = [sign.text for sign in changed(trade, chosen)] if chosen is not None else []
-    if found:
-        yield f"Beware: inside the tolerances, but at this contact softness has changed the physics. {' '.join(found)}"
+    if chosen is not None and (found := changed(trade, chosen)):
+        yield f"But softness changes the physics there. {' '.join(sign.text for sign in found)}"
         if other is None:
-            yield "No contact inside the tolerances leaves the physics unchanged."
+            yield "No contact within the tolerances leaves the physics unchanged."
         else:
-            k_n = "" if other.k_n is None else f", k_n = {quantity(other.k_n, 'N/m', 3)}"
-            more = _more(trade, other, conclusion)
-            yield f"The cheapest that leaves the physics unchanged: {describe(other.candidate)}{k_n}{more}."
-    already = [sign.text for sign in trade.reference.signs if sign.changed]
-    if already:
-        yield f"Already the reference is beyond customary limits: {' '.join(already)}"
-
-
-def _more(trade: Trade, other: TradePoint, conclusion: Conclusion) -> str:
-    """How much dearer another point is than the chosen one."""
-    a = None if conclusion.chosen is None else cost(trade, conclusion.chosen)
-    b = cost(trade, other)
-    what = "CPU time" if trade.bed else "steps"
-    return "" if not a or not b else f", at {b / a:.3g} times the {what}"
-
-
-def _failing(point: TradePoint, metric: str, ratio: float, trade: Trade) -> str:
-    error = point.errors[metric]
-    width = "" if error.uncertainty is None else f" ± {100.0 * error.uncertainty:.2g} %"
-    value = f"is {100.0 * (error.error or 0.0):+.3g} %{width}"
-    if error.verdict(trade.tolerances[metric]) == "undecided":
-        return f"{value}, undecided: the interval reaches {ratio:.3g} times the tolerance"
-    return f"{value}, outside: up to {ratio:.3g} times its tolerance"
-
-
-def needed_end_time(trade: Trade, point: TradePoint) -> float | None:
-    """Return the simulated time [s] at which nothing of a bed's point is undecided; None if it is not known."""
-    open_ones = [e for m, limit in trade.tolerances.items() if (e := point.errors[m]).verdict(limit) == "undecided"]
-    times = [e.needed_end_time for e in open_ones if e.needed_end_time is not None]
-    return max(times) if times and len(times) == len(open_ones) else None
+            a, b = cost(trade, chosen), cost(trade, other)
+            what = {"steps": "steps", "cpu_seconds": "CPU time"}[trade.cost]
+            more = f", at {b / a:.3g} times the {what}" if a and b else ""
+            yield f"The cheapest that leaves the physics unchanged: {_with_stiffness(other)}{more}."
+    if already := [sign.text for sign in trade.reference.signs if sign.changed]:
+        yield f"The reference itself is beyond customary limits. {' '.join(already)}"
 
 
 def _saving(saved: SpeedUp) -> str:
     parts = []
     if saved.steps is not None:
-        parts.append(f"{saved.steps:.3g} times fewer steps")
+        parts.append(f"{saved.steps:.3g} in steps")
     if saved.cpu is not None:
-        spread = f" (median; {saved.cpu.low:.3g} to {saved.cpu.high:.3g} in {saved.cpu.rounds} rounds)"
-        spread = spread if saved.cpu.rounds > 1 else " (one run of each: the spread is not known)"
-        parts.append(f"{saved.cpu.median:.3g} times less CPU time as measured{spread}")
-    return f"Against {saved.over}: {', '.join(parts) or 'not measured'}."
+        several = f"{saved.cpu.low:.3g} to {saved.cpu.high:.3g} in {saved.cpu.rounds} rounds"
+        parts.append(f"{saved.cpu.median:.3g} in CPU time ({several if saved.cpu.rounds > 1 else 'one run of each'})")
+    return f"Speed-up against {saved.over}: {', '.join(parts) or 'not measured'}."
 
 
 def _turns(turns: Sequence[Turn]) -> Iterator[str]:
@@ -174,54 +160,47 @@ def _turns(turns: Sequence[Turn]) -> Iterator[str]:
         return
     first = turns[0]
     thing = {"linear": "k_n", "hertz": "the modulus"}[first.model]
-    where = f"at {thing} {shown_factor(first.at)}" if first.at != 1.0 else f"even with {thing} unsoftened"
+    where = f"from {thing} {shown_factor(first.at)} on" if first.at != 1.0 else f"even with {thing} unsoftened"
     if first.above is not None and first.at != 1.0:
-        where += f" (not yet at {shown_factor(first.above)})" if first.above != 1.0 else " (not yet unsoftened)"
-    yield f"Softness changes the physics first {where}, {first.model}: {first.text}"
+        where += f" (not yet {'unsoftened' if first.above == 1.0 else f'at {shown_factor(first.above)}'})"
+    yield f"Softness changes the physics {where}, {first.model}. {first.text}"
 
 
 def to_dict(trade: Trade, conclusion: Conclusion, laws: Sequence[Law]) -> dict[str, Any]:
     """Return everything as plain JSON types; what is not known is None."""
-    chosen, promising, nearest = conclusion.chosen, conclusion.promising, conclusion.nearest
+    named = {name: getattr(conclusion, name) for name in ("chosen", "unchanged", "promising", "nearest")}
+    said, promising = answer(trade, conclusion, laws), conclusion.promising
     found = {
-        "case": trade.case,
-        "title": trade.title,
-        "bed": trade.bed,
-        "verdict": list(sentences(trade, conclusion, laws)),
-        "tolerances": dict(trade.tolerances),
-        "chosen": None if chosen is None else chosen.candidate.name,
-        "unchanged": None if conclusion.unchanged is None else conclusion.unchanged.candidate.name,
-        "promising": None if promising is None else promising.candidate.name,
-        "needed_end_time": None if promising is None else needed_end_time(trade, promising),
-        "nearest": None if nearest is None else nearest.candidate.name,
-        "failing": dict(conclusion.failing),
-        "cost": conclusion.cost,
-        "front": list(conclusion.front),
-        "front_by_metric": {metric: list(names) for metric, names in conclusion.by_metric.items()},
-        "speed_ups": [asdict(saved) for saved in conclusion.speed_ups],
-        "turns": [asdict(turn) for turn in conclusion.turns],
-        "laws": [asdict(law) | {"sentences": list(law.sentences)} for law in laws],
-        "convergence": None if trade.convergence is None else asdict(trade.convergence),
-        "reference": _point(trade, trade.reference),
-        "points": [_point(trade, point) for point in trade.points],
-        "splits": {name: [asdict(split) for split in splits] for name, splits in trade.splits.items()},
-        "caveats": list(trade.caveats),
-        "options": asdict(trade.options),
-        "wall_seconds": trade.wall_seconds,
+        **vars(trade),
+        **{name: None if point is None else point.candidate.name for name, point in named.items()},
+        "state": said.state,
+        "verdict": said.all,
+        "needed_end_time": None if promising is None else needed_end_time(promising),
+        "front": conclusion.front,
+        "front_by_metric": conclusion.by_metric,
+        "speed_ups": conclusion.speed_ups,
+        "turns": conclusion.turns,
+        "laws": [{**vars(law), "sentences": law.sentences} for law in laws],
+        "reference": _point(trade.reference),
+        "points": [_point(point) for point in trade.points],
     }
     plain: dict[str, Any] = _plain(found)
     return plain
 
 
-def _point(trade: Trade, point: TradePoint) -> dict[str, Any]:
-    return asdict(point) | {
-        "verdict": verdict(point, trade.tolerances),
-        "worst_ratio": worst_ratio(point, trade.tolerances) if point.completed else None,
-    }
+def _point(point: TradePoint) -> dict[str, Any]:
+    ratio = worst_ratio(point) if point.completed else None
+    return {**vars(point), "verdict": verdict(point), "worst_ratio": ratio}
 
 
 def _plain(value: Any) -> Any:
     """Return JSON types; what is not finite is None."""
+    if isinstance(value, Row):
+        value = value.to_dict()
+    elif isinstance(value, Estimate):
+        value = {"value": value.value, "width": value.width, "reliable": value.reliable}
+    elif is_dataclass(value):
+        value = vars(value)
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Mapping):
@@ -241,8 +220,7 @@ def to_frame(trade: Trade, conclusion: Conclusion) -> tuple[pd.DataFrame, dict[s
     metrics = list(dict.fromkeys(name for point in trade.points for name in point.errors))
     rows = []
     for point in (trade.reference, *trade.points):
-        c = point.candidate
-        cpu = point.cpu_seconds
+        c, cpu = point.candidate, point.cpu_seconds
         row: dict[str, Any] = {
             "name": c.name,
             "how": c.how,
@@ -250,7 +228,7 @@ def to_frame(trade: Trade, conclusion: Conclusion) -> tuple[pd.DataFrame, dict[s
             "factor": c.factor,
             "steps_per_contact": c.steps_per_contact,
             "status": point.status,
-            "verdict": "reference" if point is trade.reference else verdict(point, trade.tolerances),
+            "verdict": "reference" if point is trade.reference else verdict(point),
             "on_front": c.name in conclusion.front,
             "chosen": conclusion.chosen is not None and c.name == conclusion.chosen.candidate.name,
             "k_n": point.k_n,
@@ -261,17 +239,17 @@ def to_frame(trade: Trade, conclusion: Conclusion) -> tuple[pd.DataFrame, dict[s
             "cpu_high": max(cpu, default=None),
             "rounds": len(cpu),
             "ran_share": point.ran_share,
-            "worst_ratio": worst_ratio(point, trade.tolerances) if point.completed and point.errors else None,
+            "worst_ratio": worst_ratio(point) if point.completed and point.errors else None,
             "signs": " ".join(sign.name for sign in changed(trade, point)),
             "message": point.message,
         }
         splits = {split.metric: split for split in trade.splits.get(c.name, ())}
         for metric in metrics:
             error, split = point.errors.get(metric), splits.get(metric)
-            row[f"error_{metric}"] = None if error is None else error.error
-            row[f"uncertainty_{metric}"] = None if error is None else error.uncertainty
+            row[f"error_{metric}"] = None if error is None else error.difference.value
+            row[f"uncertainty_{metric}"] = None if error is None else error.difference.deciding
             for part in ("discretisation", "softness", "model"):
-                found = None if split is None else getattr(split, part)
+                found = None if split is None else split.parts[part]
                 row[f"{part}_{metric}"] = None if found is None else found.value
             row[f"interaction_{metric}"] = None if split is None else split.interaction
         rows.append(row)

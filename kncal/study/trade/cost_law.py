@@ -9,6 +9,9 @@ import numpy as np
 
 from kncal.core.checks import Array
 from kncal.core.errors import InputError
+from kncal.core.units import quantity
+from kncal.observe.estimate import Estimate
+from kncal.report.style import model_name
 from kncal.study.trade.trade import Trade, TradePoint
 
 #: The exponent of the law: t_c ~ k_n^(-1/2), so the number of steps goes with k_n^(1/2).
@@ -20,24 +23,12 @@ _FEWEST = 3
 
 
 @dataclass(frozen=True, kw_only=True)
-class Estimate:
-    """A number and the half-width of its 95 % confidence interval, in the same unit."""
-
-    value: float
-    uncertainty: float
-
-    def includes(self, value: float) -> bool:
-        """Whether ``value`` is within the interval."""
-        return abs(value - self.value) <= self.uncertainty
-
-
-@dataclass(frozen=True, kw_only=True)
 class CostFit:
     """CPU time = start + per_step * steps.
 
     Attributes
     ----------
-    start : what every run costs, whatever its steps [s]: the solver's start, of a bed gas and exchange
+    start : what every run costs, whatever its steps [s]
     per_step : [s]
     runs : number of timed runs
     """
@@ -49,9 +40,9 @@ class CostFit:
     @property
     def half_steps(self) -> float | None:
         """Number of steps at which the start is half of the time; None where start or time per step is not resolved."""
-        if min(self.start.value - self.start.uncertainty, self.per_step.value - self.per_step.uncertainty) <= 0.0:
-            return None
-        return self.start.value / self.per_step.value
+        start, per_step = self.start.value, self.per_step.value
+        resolved = self.start.significant and self.per_step.significant
+        return start / per_step if resolved and start and per_step and min(start, per_step) > 0.0 else None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,9 +60,14 @@ class Slope:
     k_high: float
 
     @property
+    def over(self) -> str:
+        """The range in words."""
+        return f"{quantity(self.k_low, 'N/m', 3)} to {quantity(self.k_high, 'N/m', 3)}"
+
+    @property
     def holds(self) -> bool:
         """Whether it agrees with 1/2 and is narrow enough to say so."""
-        return self.exponent.uncertainty <= RESOLVED and self.exponent.includes(LAW)
+        return (self.exponent.width or 0.0) <= RESOLVED and includes(self.exponent, LAW)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +85,7 @@ class Law:
     by_steps, by_cpu : slope over all points, of the steps and of the CPU time as measured
     by_net_cpu : of the CPU time less the start, over the points of which the start is less than half
     holds : the widest range of k_n in which the slope of the CPU time as measured agrees with 1/2; None: nowhere
-    bed : whether it is of a coupled bed, where what every run costs is gas and exchange at each coupling
+    fixed : what every run costs, whatever its steps, in words
     """
 
     family: str
@@ -103,53 +99,43 @@ class Law:
     by_cpu: Slope | None
     by_net_cpu: Slope | None
     holds: Slope | None
-    bed: bool = False
+    fixed: str = ""
 
     @property
     def sentences(self) -> tuple[str, ...]:
         """The law in words."""
-        from kncal.core.units import quantity
-
-        name = {"linear": "Linear", "hertz": "Hertz"}[self.family]
-        fixed = "gas and exchange at the couplings" if self.bed else "the start"
+        name, of = model_name(self.family).capitalize(), f"N = {self.steps_per_contact:g}"
         texts = []
         if self.by_steps is not None:
+            more = [("CPU time as k_n^", self.by_cpu), (f"CPU time without {self.fixed} as k_n^", self.by_net_cpu)]
+            goes = "".join(f", {what}{_shown(found.exponent)}" for what, found in more if found is not None)
             texts.append(
-                f"{name}, N = {self.steps_per_contact:g}: the number of steps goes with k_n^"
-                f"{_shown(self.by_steps.exponent)} from {quantity(self.by_steps.k_low, 'N/m', 3)} to "
-                f"{quantity(self.by_steps.k_high, 'N/m', 3)}"
+                f"{name}, {of}: the steps go as k_n^{_shown(self.by_steps.exponent)}{goes}, from {self.by_steps.over}."
             )
-            if self.by_cpu is not None:
-                texts[-1] += f", the CPU time as measured with k_n^{_shown(self.by_cpu.exponent)}"
-            if self.by_net_cpu is not None:
-                texts[-1] += f", less {fixed} with k_n^{_shown(self.by_net_cpu.exponent)}"
-            texts[-1] += "."
         if self.fit is not None:
-            start, per_step = self.fit.start, self.fit.per_step
-            of = " for gas and exchange, which cost the same whatever the contact" if self.bed else ""
-            texts.append(
-                f"{name}: CPU time = ({start.value:.3g} ± {start.uncertainty:.2g}) s{of} + "
-                f"({per_step.value:.3g} ± {per_step.uncertainty:.2g}) s per step, from {self.fit.runs} runs."
-            )
-            if self.fit.half_steps is not None:
-                verb = "are" if self.bed else "is"
-                texts[-1] += f" Below {self.fit.half_steps:.2g} steps {fixed} {verb} more than half of it."
+            half, runs = self.fit.half_steps, f"from {self.fit.runs} runs"
+            start, per_step = (f"({e.value:.3g} ± {e.width:.2g}) s" for e in (self.fit.start, self.fit.per_step))
+            texts.append(f"{name}: CPU time = {start} for {self.fixed} + {per_step} per step, {runs}.")
+            if half is not None:
+                texts[-1] += f" Below {half:.2g} steps {self.fixed} take more than half of it."
         if self.by_cpu is not None:
-            if self.holds is None:
-                texts.append(
-                    "In no range of k_n does the CPU time measurably follow k_n^(1/2) (three stiffnesses or more, "
-                    f"exponent known to ±{RESOLVED:g})."
-                )
-            else:
-                texts.append(
-                    f"The CPU time follows k_n^(1/2) from {quantity(self.holds.k_low, 'N/m', 3)} to "
-                    f"{quantity(self.holds.k_high, 'N/m', 3)} (exponent {_shown(self.holds.exponent)})."
-                )
+            texts.append(
+                f"{name}: the CPU time goes as k_n^(1/2) nowhere (in no range of three stiffnesses or more is the"
+                f" exponent 1/2 and known to ±{RESOLVED:g})."
+                if self.holds is None
+                else f"{name}: the CPU time goes as k_n^(1/2) from {self.holds.over}"
+                f" (exponent {_shown(self.holds.exponent)})."
+            )
         return tuple(texts)
 
 
-def _shown(estimate: Estimate) -> str:
-    return f"({estimate.value:.3f} ± {estimate.uncertainty:.2g})"
+def _shown(found: Estimate) -> str:
+    return f"({found.value:.3f} ± {found.width:.2g})"
+
+
+def includes(found: Estimate, value: float) -> bool:
+    """Whether ``value`` is within the interval of an estimate."""
+    return abs(value - (found.value or 0.0)) <= (found.width or 0.0)
 
 
 def slope(k_n: Sequence[float] | Array, cost: Sequence[float] | Array) -> Slope:
@@ -170,7 +156,7 @@ def slope(k_n: Sequence[float] | Array, cost: Sequence[float] | Array) -> Slope:
     exponent = float(u @ w) / squares
     spread = float(np.sum((w - exponent * u) ** 2)) / (x.size - 2)
     width = float(t.ppf(0.975, x.size - 2)) * float(np.sqrt(spread / squares))
-    return Slope(exponent=Estimate(value=exponent, uncertainty=width), k_low=float(x.min()), k_high=float(x.max()))
+    return Slope(exponent=Estimate(value=exponent, width=width), k_low=float(x.min()), k_high=float(x.max()))
 
 
 def fit_cost(steps: Sequence[float] | Array, cpu_seconds: Sequence[float] | Array) -> CostFit:
@@ -194,8 +180,8 @@ def fit_cost(steps: Sequence[float] | Array, cpu_seconds: Sequence[float] | Arra
     spread = np.sum((matrix @ [a, b] - 1.0) ** 2) / (x.size - 2)
     width = float(t.ppf(0.975, x.size - 2)) * np.sqrt(spread * np.diag(inverse @ inverse.T))
     return CostFit(
-        start=Estimate(value=float(a), uncertainty=float(width[0])),
-        per_step=Estimate(value=float(b / scale), uncertainty=float(width[1] / scale)),
+        start=Estimate(value=float(a), width=float(width[0])),
+        per_step=Estimate(value=float(b / scale), width=float(width[1] / scale)),
         runs=int(x.size),
     )
 
@@ -220,7 +206,7 @@ def laws(trade: Trade) -> tuple[Law, ...]:
         if by_n:
             n = max(by_n, key=lambda n: (sum(bool(p.cpu_seconds) for p in by_n[n]), len(by_n[n]), n))
             model = [trade.reference] * (family == "hertz") + [p for p in trade.points if p.candidate.model == family]
-            found.append(_law(family, n, by_n[n], _fit(model), bed=trade.bed))
+            found.append(_law(family, n, by_n[n], _fit(model), trade.fixed))
     return tuple(found)
 
 
@@ -229,7 +215,7 @@ def _fit(points: Iterable[TradePoint]) -> CostFit | None:
     return fit_cost(*zip(*runs, strict=True)) if len({steps for steps, _ in runs}) >= _FEWEST else None
 
 
-def _law(family: str, n: float, points: Iterable[TradePoint], fit: CostFit | None, *, bed: bool) -> Law:
+def _law(family: str, n: float, points: Iterable[TradePoint], fit: CostFit | None, fixed: str) -> Law:
     ordered = sorted(points, key=lambda p: p.k_n or 0.0)
     timed = [p for p in ordered if p.cpu_seconds]
     k = [p.k_n or np.nan for p in ordered]
@@ -251,17 +237,17 @@ def _law(family: str, n: float, points: Iterable[TradePoint], fit: CostFit | Non
         by_cpu=slope(k_runs, cpu_runs) if enough else None,
         by_net_cpu=None if fit is None or not enough else _net(k_runs, cpu_runs, fit),
         holds=widest(k_runs, cpu_runs) if enough else None,
-        bed=bed,
+        fixed=fixed,
     )
 
 
 def _net(k_n: Sequence[float], cpu: Sequence[float], fit: CostFit) -> Slope | None:
     """Return the slope of the CPU time less the start, over the stiffnesses at which the start is less than half."""
-    clear = [k for k in set(k_n) if all(c > 2.0 * fit.start.value for x, c in zip(k_n, cpu, strict=True) if x == k)]
+    start = fit.start.value or 0.0
+    clear = [k for k in set(k_n) if all(c > 2.0 * start for x, c in zip(k_n, cpu, strict=True) if x == k)]
     if len(clear) < _FEWEST:
         return None
-    pairs = [(k, c - fit.start.value) for k, c in zip(k_n, cpu, strict=True) if k in clear]
-    return slope(*zip(*pairs, strict=True))
+    return slope(*zip(*((k, c - start) for k, c in zip(k_n, cpu, strict=True) if k in clear), strict=True))
 
 
 def widest(k_n: Sequence[float], cost: Sequence[float]) -> Slope | None:

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 from typing import TypeVar
 
-from kncal.observe.difference import PATHS, metric_names, path_difference, rows_between, value_row
-from kncal.observe.estimate import DOUBT, apart
-from kncal.observe.row import RMS, Row
+from kncal.observe.difference import PATHS, metric_names, path_difference, value_row
+from kncal.observe.estimate import Estimate, apart
+from kncal.observe.row import RMS, Row, judge
 from kncal.observe.run_data import RunData
 from kncal.observe.truth import exact_metrics, exact_motion, predicted_errors
-from kncal.scene.metrics import metric_unit, split_metric
-from kncal.study.trade.trade import Candidate, Convergence, ErrorSplit, MetricError, Part
+from kncal.scene.metrics import split_metric
+from kncal.study.trade.trade import Candidate, Convergence, ErrorSplit
 
 NAMES = ("candidate", "reference")
 #: From one N to the next, orders of convergence between these are believed: velocity Verlet is of second order, at a
@@ -69,14 +70,14 @@ class Reference:
         return None if value is None or other is None else (value - other) / scale
 
 
-def metric_errors(
+def contact_rows(
     reference: Reference,
     run: RunData,
     converged: RunData | None,
     worst: Mapping[str, float],
-    more: tuple[str, ...] = (),
-) -> dict[str, MetricError]:
-    """Return the error of every metric with its uncertainty.
+    tolerances: Mapping[str, float],
+) -> dict[str, Row]:
+    """Return the judged error of every metric of single contacts, with its uncertainty.
 
     The uncertainty is what is left of the reference's own discretisation error, plus what another sub-step phase of
     the first touch could add: a run sees one phase, and may be lucky. It goes up to the error of the converged contact
@@ -87,30 +88,21 @@ def metric_errors(
     reference, run : what is compared
     converged : the same contact, converged in N; None: not known
     worst : metric -> predicted worst relative discretisation error at the run's N [-]
-    more : metrics that are asked for, besides those that the reference has
+    tolerances : metric -> largest allowed abs(error) [-]
     """
-    found = {}
+    more = tuple(tolerances)
     there = {} if converged is None else reference.differences(converged, more)
+    found = {}
     for name, row in reference.differences(run, more).items():
-        width = None
-        reason = row.reason
         error = row.difference.value
         if error is not None and row.scale is not None:
             width = reference.left.get(name, 0.0)
             phase = _phase(name, row, run, worst, reference.until)
             if phase is not None:
                 base = there[name].difference.value if name in there else None
-                width += max(0.0, (0.0 if base is None else abs(base)) + phase - abs(error))
-        found[name] = MetricError(
-            metric=name,
-            unit=metric_unit(name),
-            value=row.run.value,
-            reference=row.reference.value,
-            error=error,
-            uncertainty=width,
-            basis=row.basis,
-            reason=reason,
-        )
+                width += max(0.0, abs(base or 0.0) + phase - abs(error))
+            row = replace(row, difference=Estimate(value=error, width=width))  # noqa: PLW2901
+        found[name] = judge(row, tolerances.get(name))
     return found
 
 
@@ -145,7 +137,7 @@ def split_errors(
 
     Parameters
     ----------
-    reference, run : as of `metric_errors`
+    reference, run : as of `contact_rows`
     converged : the same contact, converged in N; None: not known
     unsoftened : the same model unsoftened, converged; None: not known (of Hertz, give the reference's run)
     worst : "linear" and "hertz" -> metric -> predicted worst relative discretisation error of converged runs [-]
@@ -167,16 +159,18 @@ def split_errors(
 
         def between(
             a: RunData, b: RunData, name: str = name, scale: float = scale, bound: Callable[[RunData], float] = bound
-        ) -> Part | None:
+        ) -> Estimate | None:
             value = reference.step(name, scale, a, b)
             width = sum(bound(data) for data in (a, b) if data is not run)
-            return None if value is None else Part(value=value, uncertainty=0.0 if a is b else width)
+            return None if value is None else Estimate(value=value, width=0.0 if a is b else width)
 
-        splits.append(split(name, Part(value=whole, uncertainty=left), steps, between))
+        splits.append(split(name, Estimate(value=whole, width=left), steps, between))
     return tuple(splits)
 
 
-def split(metric: str, total: Part, steps: Mapping[str, Step[T]], between: Callable[[T, T], Part | None]) -> ErrorSplit:
+def split(
+    metric: str, total: Estimate, steps: Mapping[str, Step[T]], between: Callable[[T, T], Estimate | None]
+) -> ErrorSplit:
     """Split the error of one metric by what was changed one at a time.
 
     Discretisation: the run against the same contact converged in N. Softness: that against the same model unsoftened,
@@ -190,8 +184,8 @@ def split(metric: str, total: Part, steps: Mapping[str, Step[T]], between: Calla
     """
     parts = {what: None if a is None or b is None else between(a, b) for what, (a, b) in steps.items()}
     missing = tuple(what for what, part in parts.items() if part is None)
-    known = math.fsum(part.value for part in parts.values() if part is not None)
-    left = None if missing else total.value - known
+    known = math.fsum(part.value or 0.0 for part in parts.values() if part is not None)
+    left = None if missing else (total.value or 0.0) - known
     return ErrorSplit(metric=metric, total=total, **parts, interaction=left, missing=missing)
 
 
@@ -252,42 +246,16 @@ def converge(
     )
 
 
-# --- beds ---------------------------------------------------------------------
+# --- averages -----------------------------------------------------------------
 
 
-def bed_errors(run: RunData, reference: RunData, tolerances: Mapping[str, float]) -> dict[str, MetricError]:
-    """Return the error of every metric of a bed that one of the two runs has, or that has a tolerance.
-
-    The uncertainty is the half-width of the 95 % interval of both averages, three times that where one of them is
-    not reliable (`kncal.observe.estimate.DOUBT`).
-    """
-    return {row.metric: _bed_error(row) for row in rows_between(run, reference, tolerances, NAMES)}
-
-
-def _bed_error(row: Row) -> MetricError:
-    found, reason = row.difference, row.reason
-    if not found.reliable:
-        reason = f"interval taken {DOUBT:g} times as wide: {reason}"
-    return MetricError(
-        metric=row.metric,
-        unit=row.unit,
-        value=row.run.value,
-        reference=row.reference.value,
-        error=found.value,
-        uncertainty=None if found.value is None else found.deciding,
-        basis=row.basis,
-        reason=reason,
-        needed_end_time=found.needed_end,
-    )
-
-
-def bed_splits(
-    runs: Iterable[tuple[Candidate, RunData, Mapping[str, MetricError]]], reference: RunData, steps: float
+def average_splits(
+    runs: Iterable[tuple[Candidate, RunData, Mapping[str, Row]]], reference: RunData, steps: float
 ) -> dict[str, tuple[ErrorSplit, ...]]:
-    """Split the errors of each candidate of a bed, metric by metric; see `split`. ``steps``: N of the reference.
+    """Split the errors of each candidate whose averages are compared, metric by metric; see `split`.
 
-    Each part is the difference of two averages, with the interval of both: a part within its own is not resolved. At
-    the N of the reference there is no part of the step, since the reference has the same.
+    ``steps``: N of the reference. Each part is the difference of two averages, with the interval of both: a part within
+    its own is not resolved. At the N of the reference there is no part of the step, since the reference has the same.
     """
     runs = list(runs)
     at = {(c.model, c.how, c.factor, c.steps_per_contact): run for c, run, _ in runs}
@@ -307,21 +275,15 @@ def bed_splits(
         if c.model == "linear":
             chain["model"] = (hard, reference)
         found[c.name] = tuple(
-            split(e.metric, Part(value=e.error, uncertainty=e.uncertainty), chain, _between_averages(e))
-            for e in errors.values()
-            if e.error is not None and e.basis != RMS
+            split(row.metric, row.difference, chain, partial(_between_averages, row))
+            for row in errors.values()
+            if row.difference.value is not None and row.basis != RMS
         )
     return found
 
 
-def _between_averages(error: MetricError) -> Callable[[RunData, RunData], Part | None]:
-    scale = abs(error.reference or 0.0) if error.basis.startswith("relative") else 1.0
-
-    def between(a: RunData, b: RunData) -> Part | None:
-        first, second = a.estimate(error.metric), b.estimate(error.metric)
-        if first.value is None or second.value is None or scale == 0.0:
-            return None
-        found = apart(first, second, scale, NAMES)
-        return Part(value=found.value or 0.0, uncertainty=found.deciding)
-
-    return between
+def _between_averages(row: Row, a: RunData, b: RunData) -> Estimate | None:
+    first, second = a.estimate(row.metric), b.estimate(row.metric)
+    if first.value is None or second.value is None or not row.scale:
+        return None
+    return apart(first, second, row.scale, NAMES)

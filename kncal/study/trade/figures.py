@@ -34,7 +34,6 @@ _FLOOR = 1e-6
 def draw_trade_figures(trade: Trade, conclusion: Conclusion, laws: Sequence[Law], folder: Path) -> tuple[Figure, ...]:
     """Write every figure that the data allow into ``folder``, as PNG and SVG."""
     album = Album(folder)
-    fixed, rounds = ("gas and exchange", "parts") if trade.bed else ("the start of the solver", "rounds")
     album.add(
         "front",
         front(trade, conclusion),
@@ -55,7 +54,7 @@ def draw_trade_figures(trade: Trade, conclusion: Conclusion, laws: Sequence[Law]
         "law",
         law(laws),
         "Cost against stiffness at one number of steps per contact. The steps follow k_n^(1/2) (grey). The CPU time "
-        f"does so where the steps cost more than {fixed}. Bars: smallest and largest of the {rounds}.",
+        f"does so where the steps cost more than {trade.fixed}. Bars: smallest and largest time.",
         "Steps and CPU time against stiffness.",
     )
     return tuple(album.figures)
@@ -68,26 +67,26 @@ def front(trade: Trade, conclusion: Conclusion) -> Axes | None:
     drawn = False
     for model in ("linear", "hertz"):
         ours = [p for p in names.values() if p.candidate.model == model and cost(trade, p) is not None]
-        ours = [p for p in ours if worst_ratio(p, trade.tolerances) < math.inf]
+        ours = [p for p in ours if worst_ratio(p) < math.inf]
         if not ours:
             continue
         drawn = True
         x = [cost(trade, p) or 0.0 for p in ours]
-        y = [max(worst_ratio(p, trade.tolerances), _FLOOR) for p in ours]
-        down = [ratio - max(min(_seen(p, trade), ratio), _FLOOR) for p, ratio in zip(ours, y, strict=True)]
+        y = [max(worst_ratio(p), _FLOOR) for p in ours]
+        down = [ratio - max(min(_seen(p), ratio), _FLOOR) for p, ratio in zip(ours, y, strict=True)]
         bars = np.array([down, np.zeros(len(y))])
         ax.errorbar(x, y, bars, label=model_name(model), markersize=4.5, elinewidth=0.7, alpha=0.85, **_points(model))
     if not drawn:
         return None
     on = [names[name] for name in conclusion.front]
-    x, y = [cost(trade, p) or 0.0 for p in on], [max(worst_ratio(p, trade.tolerances), _FLOOR) for p in on]
+    x, y = [cost(trade, p) or 0.0 for p in on], [max(worst_ratio(p), _FLOOR) for p in on]
     ax.plot(x, y, color="0.6", linewidth=1.2, drawstyle="steps-post", zorder=0, label="front")
     if conclusion.chosen is not None:
-        x_0, y_0 = cost(trade, conclusion.chosen) or 0.0, worst_ratio(conclusion.chosen, trade.tolerances)
+        x_0, y_0 = cost(trade, conclusion.chosen) or 0.0, worst_ratio(conclusion.chosen)
         ax.plot([x_0], [max(y_0, _FLOOR)], "o", markersize=13, markerfacecolor="none", color="k", label="chosen")
     ax.axhline(1.0, color="0.3", linewidth=1.0, linestyle=(0, (2, 2)), label="tolerance")
     log_axes(ax)
-    x_label = "CPU time [s]" if trade.bed else "steps [–]"
+    x_label = {"cpu_seconds": "CPU time [s]", "steps": "steps [–]"}[trade.cost]
     return dress(ax, x_label, "(|error| + uncertainty) / tolerance [–]", columns=3)
 
 
@@ -95,10 +94,9 @@ def _points(kind: str) -> dict[str, Any]:
     return {"fmt": STYLES[kind]["marker"], "color": STYLES[kind]["color"]}
 
 
-def _seen(point: TradePoint, trade: Trade) -> float:
+def _seen(point: TradePoint) -> float:
     """Largest abs(error)/tolerance as measured, without the uncertainty."""
-    errors = [(point.errors[metric].error, limit) for metric, limit in trade.tolerances.items()]
-    return max(abs(error) / limit for error, limit in errors if error is not None)
+    return max(abs(row.difference.value or 0.0) / (row.tolerance or math.inf) for row in point.judged.values())
 
 
 def split(trade: Trade) -> Axes | None:
@@ -157,8 +155,8 @@ def _split_panel(ax: Axes, trade: Trade, model: str, metric: str) -> None:
 
 
 def _size(found: ErrorSplit, part: str) -> float | None:
-    value = getattr(found, part)
-    return None if value is None else abs(value.value)
+    known = found.parts[part]
+    return None if known is None or known.value is None else abs(known.value)
 
 
 def law(laws: Sequence[Law]) -> Axes | None:
@@ -184,8 +182,9 @@ def law(laws: Sequence[Law]) -> Axes | None:
         if found.fit is not None:
             order = np.argsort(k)
             steps = np.asarray(found.steps, dtype=np.float64)
-            fitted = (found.fit.start.value + found.fit.per_step.value * steps)[order]
-            label = f"{text}: {'gas + steps' if found.bed else 'start + steps'}"
+            start, per_step = found.fit.start.value or 0.0, found.fit.per_step.value or 0.0
+            fitted = (start + per_step * steps)[order]
+            label = f"{text}: fitted"
             right.plot(k[order], fitted, linewidth=1.0, label=label, **line_style(found.family))
     k = np.asarray(laws[0].k_n)
     middle = len(k) // 2

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
+from kncal.observe.row import Row
 from kncal.observe.softness import Sign
 from kncal.study.trade.trade import Trade, TradePoint
 
@@ -69,7 +71,6 @@ class Conclusion:
 
     Attributes
     ----------
-    cost : what cost means here: "steps" (single contacts) or "cpu_seconds" (beds)
     front : names of the points that no other beats in cost and `worst_ratio`, from cheap to dear
     by_metric : metric -> the same for what its error alone may be
     chosen : the cheapest point inside all tolerances, or None
@@ -77,67 +78,51 @@ class Conclusion:
     promising : without a chosen one, the cheapest point that is not surely outside, which more of a run may show to be
         inside; None if all are
     nearest : without a chosen one, the point whose `worst_ratio` is smallest
-    failing : of ``nearest``: metric -> (abs(error) + uncertainty)/tolerance of those not surely inside; infinite: not
-        computed
     speed_ups : of the chosen point, over the reference and over usual practice
     turns : where softness changes the physics, the stiffest first
     """
 
-    cost: str
     front: tuple[str, ...]
     by_metric: Mapping[str, tuple[str, ...]]
     chosen: TradePoint | None
     unchanged: TradePoint | None
     promising: TradePoint | None
     nearest: TradePoint | None
-    failing: Mapping[str, float]
     speed_ups: tuple[SpeedUp, ...]
     turns: tuple[Turn, ...]
 
 
 def conclude(trade: Trade) -> Conclusion:
     """Draw the conclusions of a trade."""
-    done = [p for p in trade.points if p.completed and cost(trade, p) is not None]
-    priced = [(p, cost(trade, p) or 0.0) for p in done]
-    rated = [(p, c, ratio) for p, c in priced if (ratio := worst_ratio(p, trade.tolerances)) < math.inf]
-    front = [rated[i][0].candidate.name for i in pareto([r[1] for r in rated], [r[2] for r in rated])]
-    by_metric = {}
-    for metric in trade.tolerances:
-        with_it = [(p, c, e) for p, c in priced if (e := _error(p, metric)) is not None]
-        found = pareto([r[1] for r in with_it], [r[2] for r in with_it])
-        by_metric[metric] = tuple(with_it[i][0].candidate.name for i in found)
-    within = sorted(
-        ((p, c) for p, c in priced if inside(p, trade.tolerances)),
-        key=lambda item: (item[1], worst_ratio(item[0], trade.tolerances)),
-    )
+    priced = [(p, c) for p in trade.points if p.completed and (c := cost(trade, p)) is not None]
+    within = sorted(((p, c) for p, c in priced if inside(p)), key=lambda item: (item[1], worst_ratio(item[0])))
     chosen = next((p for p, _ in within), None)
     promising = nearest = None
     if chosen is None:
-        open_ones = [(p, c) for p, c in priced if verdict(p, trade.tolerances) == "undecided"]
+        open_ones = [(p, c) for p, c in priced if verdict(p) == "undecided"]
         promising = min(open_ones, key=lambda item: item[1], default=(None, 0.0))[0]
-        tried = [p for p in trade.points if p.completed]
-        nearest = min(tried, key=lambda p: worst_ratio(p, trade.tolerances), default=None)
+        nearest = min((p for p in trade.points if p.completed), key=worst_ratio, default=None)
     return Conclusion(
-        cost="cpu_seconds" if trade.bed else "steps",
-        front=tuple(front),
-        by_metric=by_metric,
+        front=_front(priced, worst_ratio),
+        by_metric={metric: _front(priced, partial(reach, metric=metric)) for metric in trade.tolerances},
         chosen=chosen,
         unchanged=next((p for p, _ in within if not changed(trade, p)), None),
         promising=promising,
         nearest=nearest,
-        failing={} if nearest is None else failing(nearest, trade.tolerances),
         speed_ups=() if chosen is None else _speed_ups(trade, chosen),
         turns=turns(trade),
     )
 
 
-def cost(trade: Trade, point: TradePoint) -> float | None:
-    """Return what points are ordered by: CPU seconds of a bed, steps of single contacts; None: not known.
+def _front(priced: Sequence[tuple[TradePoint, float]], error: Callable[[TradePoint], float]) -> tuple[str, ...]:
+    """Names of the points on the Pareto front of cost and ``error``, of those whose error is known."""
+    known = [(p, c, e) for p, c in priced if (e := error(p)) < math.inf]
+    return tuple(known[i][0].candidate.name for i in pareto([c for _, c, _ in known], [e for *_, e in known]))
 
-    A run of a single contact is mostly the solver's start, and the noise of that would order the points; in any run
-    long enough to matter its cost goes with its steps.
-    """
-    if not trade.bed:
+
+def cost(trade: Trade, point: TradePoint) -> float | None:
+    """Return what points are ordered by, `Trade.cost`; None: not known."""
+    if trade.cost == "steps":
         return None if point.steps is None else float(point.steps)
     return float(np.median(point.cpu_seconds)) if point.cpu_seconds else None
 
@@ -155,49 +140,40 @@ def pareto(costs: Sequence[float], errors: Sequence[float]) -> list[int]:
     return front
 
 
-def worst_ratio(point: TradePoint, tolerances: Mapping[str, float]) -> float:
-    """Return the largest (abs(error) + uncertainty)/tolerance [-]; infinite if one could not be computed.
+def reach(point: TradePoint, metric: str) -> float:
+    """Return (abs(error) + uncertainty)/tolerance [-]; infinite if it could not be computed."""
+    row = point.errors.get(metric)
+    return math.inf if row is None or row.difference.value is None else row.reach
+
+
+def worst_ratio(point: TradePoint) -> float:
+    """Return the largest `reach` of the judged metrics.
 
     At most 1 means inside for certain: what an error may be counts, or luck would win.
     """
-    return max((_ratio(point, metric, limit) for metric, limit in tolerances.items()), default=0.0)
+    return max((reach(point, metric) for metric in point.judged), default=math.inf)
 
 
-def inside(point: TradePoint, tolerances: Mapping[str, float]) -> bool:
+def inside(point: TradePoint) -> bool:
     """Return whether every error is within its tolerance with its whole interval; undecided is not inside."""
-    errors = point.errors
-    return bool(tolerances) and all(m in errors and errors[m].verdict(t) == "ok" for m, t in tolerances.items())
+    return verdict(point) == "inside"
 
 
-def verdict(point: TradePoint, tolerances: Mapping[str, float]) -> str:
+def verdict(point: TradePoint) -> str:
     """Return "inside", "outside", "undecided" or "missing" for all metrics together, or the status of a failed point.
 
     "outside" if one metric surely is; else "missing" or "undecided" if one is.
     """
     if not point.completed:
         return point.status
-    found = [point.errors[m].verdict(t) if m in point.errors else "missing" for m, t in tolerances.items()]
-    return next((word for word in ("outside", "missing", "undecided") if word in found), "inside")
+    found = {row.verdict for row in point.judged.values()}
+    ranked = ("outside", "missing", "undecided")
+    return next((word for word in ranked if word in found), "inside" if found else "missing")
 
 
-def _error(point: TradePoint, metric: str) -> float | None:
-    """Return the size that an error may have, abs(error) + uncertainty [-]; None if it could not be computed."""
-    found = point.errors.get(metric)
-    return None if found is None or found.error is None else abs(found.error) + (found.uncertainty or 0.0)
-
-
-def _ratio(point: TradePoint, metric: str, limit: float) -> float:
-    error = _error(point, metric)
-    return math.inf if error is None else error / limit
-
-
-def failing(point: TradePoint, tolerances: Mapping[str, float]) -> dict[str, float]:
-    """Return (abs(error) + uncertainty)/tolerance of the metrics not surely inside; infinite: not computed."""
-    return {
-        metric: _ratio(point, metric, limit)
-        for metric, limit in tolerances.items()
-        if metric not in point.errors or point.errors[metric].verdict(limit) != "ok"
-    }
+def failing(point: TradePoint) -> tuple[Row, ...]:
+    """Return the rows that are not surely inside."""
+    return tuple(row for row in point.judged.values() if row.verdict != "ok")
 
 
 def usual(trade: Trade) -> TradePoint | None:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from kncal.core.errors import InputError, KncalError, RunError
 from kncal.physics.laws import LAWS
@@ -17,7 +18,7 @@ from kncal.scene.plan import MOST_STEPS, plan
 from kncal.scene.scene import Scene
 from kncal.study.trade.candidates import Contact
 from kncal.study.trade.errors import Reference, converge
-from kncal.study.trade.runs import ContactRuns
+from kncal.study.trade.runs import Runs
 from kncal.study.trade.trade import Candidate, Convergence
 from kncal.study.variants import Changes, removing, texts
 
@@ -127,7 +128,7 @@ def converged_steps(model: Model, threshold: float, least: float) -> float:
     return next((n for n in REFERENCE_STEPS if n >= needed), REFERENCE_STEPS[-1])
 
 
-def find_reference(runs: ContactRuns, contact: Contact, ends: Ends, tolerances: Mapping[str, float]) -> Found:
+def find_reference(runs: Runs, contact: Contact, ends: Ends, tolerances: Mapping[str, float]) -> Found:
     """Double N until no judged metric moves by more than a tenth of the smallest tolerance, nor has more left.
 
     Raises
@@ -136,7 +137,7 @@ def find_reference(runs: ContactRuns, contact: Contact, ends: Ends, tolerances: 
         If a run of the reference does not complete.
     """
     threshold = _SHARE * min(tolerances.values()) if tolerances else DEFAULT_THRESHOLD
-    tried = {}
+    tried: dict[float, Any] = {}
     for n in REFERENCE_STEPS:
         candidate = contact.at(n, ends.changes)
         runs.run([candidate])

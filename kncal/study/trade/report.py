@@ -4,28 +4,47 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from kncal import __version__
-from kncal.core.units import plus_minus, quantity, si_prefix
-from kncal.report.page import Page, Section, Table, report_folder, verdict, write_page
+from kncal.core.units import percent, plus_minus, quantity, si_prefix
+from kncal.observe.estimate import Estimate
+from kncal.report.page import Page, Section, Table, Verdict, report_folder, write_page
 from kncal.report.style import model_name
-from kncal.study.trade.answer import describe, sentences, shown_factor
+from kncal.study.trade.answer import answer, contact_text, describe, error_text, shown_factor
 from kncal.study.trade.cost_law import Law
 from kncal.study.trade.figures import draw_trade_figures
-from kncal.study.trade.front import Conclusion, changed, cost, worst_ratio
+from kncal.study.trade.front import Conclusion, changed, cost, reach, worst_ratio
 from kncal.study.trade.front import verdict as verdict_of
-from kncal.study.trade.trade import Candidate, ErrorSplit, MetricError, Part, Trade, TradePoint
+from kncal.study.trade.trade import Candidate, ErrorSplit, Trade, TradePoint
 
 #: Points of the front whose worst error is more times its tolerance are not shown with it.
 NEAR = 10.0
+_SHOWN = (
+    "No other point has both a smaller number of steps and a smaller worst error over tolerance, uncertainty included."
+)
+_SHOWN_ESTIMATED = (
+    "From cheap to dear. A share run is the part of the case's time that was simulated; CPU times are extrapolated to"
+    " the whole time."
+)
+_COLUMNS = (
+    "N: steps per contact, with the same meaning for every contact. Errors are relative to the reference; ± is {}."
+    " Worst: the largest (|error| + uncertainty)/tolerance. A point is inside only if its whole interval is."
+    " CPU: median of the rounds, or of the parts of a run (smallest–largest)."
+)
+_WIDTH = (
+    "the remaining error of the reference and what another moment of first touch within a step could add (a run shows"
+    " one such moment and may be lucky)"
+)
+_WIDTH_ESTIMATED = "the 95 % interval of the difference of the two averages"
 _SPLIT = (
     "Each part is measured by changing one thing. Discretisation: this contact at its N against the same contact at the"
     " N of the reference. Softness: this contact against the unsoftened one of the same model. Model: the unsoftened"
-    " linear contact against the reference. For numbers the parts add up exactly; for distances of paths they need not,"
-    " and what is left over is called interaction."
+    " linear contact against the reference. For numbers the parts add up exactly; for distances of paths they need not:"
+    " what is left over is called interaction."
 )
 _REFERENCE = (
     "N was doubled until no judged metric changed by more than a tenth of the smallest tolerance. Left: the remaining"
@@ -43,8 +62,7 @@ def write_trade_report(trade: Trade, conclusion: Conclusion, laws: Sequence[Law]
     """
     with report_folder(folder) as drawn:
         figures = draw_trade_figures(trade, conclusion, laws, drawn)
-    near = shown_points(trade, conclusion)
-    state = "within" if conclusion.chosen else "outside" if conclusion.promising is None else "undecided"
+    near, said = shown_points(trade, conclusion), answer(trade, conclusion, laws)
     lost = tuple(f"{p.candidate.name}: {p.status}: {p.message}" for p in trade.points if not p.completed)
     about = "what a softer or coarser contact saves, and what it costs in accuracy"
     page = Page(
@@ -52,12 +70,17 @@ def write_trade_report(trade: Trade, conclusion: Conclusion, laws: Sequence[Law]
         title=trade.title,
         subject="speed for accuracy",
         about=f"Case {trade.case}: {about}. Reference: {describe(trade.reference.candidate)}.",
-        verdict=verdict(state, sentences(trade, conclusion, laws), points=5),
+        verdict=Verdict(state=said.state, sentence=said.sentence, points=said.points, more=said.details),
         sections=(
             Section(title="Cost against error", figures=figures),
-            _first_section(trade, conclusion, near),
             Section(
-                title="Where the errors come from" if trade.bed else "Where the errors of the front come from",
+                title=shown_title(trade),
+                text=(_SHOWN_ESTIMATED if trade.estimated else _SHOWN + _left_out(conclusion, near),),
+                table=point_table(trade, conclusion, [trade.reference, *near]),
+                remark=_COLUMNS.format(_WIDTH_ESTIMATED if trade.estimated else _WIDTH),
+            ),
+            Section(
+                title="Where the errors come from",
                 text=(_SPLIT,) if trade.splits else (),
                 table=_split_table(trade, near),
                 remark="In brackets: not resolved (smaller than its uncertainty, or that is not known).",
@@ -76,46 +99,26 @@ def write_trade_report(trade: Trade, conclusion: Conclusion, laws: Sequence[Law]
     return write_page(page, folder)
 
 
-def _first_section(trade: Trade, conclusion: Conclusion, near: Sequence[TradePoint]) -> Section:
-    """The points that count: the front, or of a bed all that ran."""
-    end = "Worst: the largest (|error| + uncertainty)/tolerance. A point is ok only if its whole interval is inside."
-    start = "N: steps per contact, with the same meaning for every contact. Errors are relative to the reference;"
-    table = point_table(trade, conclusion, [trade.reference, *near])
-    if trade.bed:
-        return Section(
-            title="The contacts that ran",
-            text=(
-                "From cheap to dear. A share run is the part of the case's time that was simulated; CPU times are"
-                " extrapolated to the whole time.",
-            ),
-            table=table,
-            remark=f"{start} ± is the 95 % interval of the difference of the two averages. {end} Undecided: its"
-            " interval is partly inside. CPU: of the whole run, median of its parts (smallest–largest).",
-        )
-    far = len(conclusion.front) - len(near)
-    left_out = f" {far} more points of the front are cheaper, and more than {NEAR:g} times outside." if far else ""
-    return Section(
-        title="The Pareto front",
-        text=(
-            "No other point has both a smaller number of steps and a smaller worst error over tolerance, uncertainty"
-            f" included.{left_out}",
-        ),
-        table=table,
-        remark=f"{start} ± is the remaining error of the reference and what another moment of first touch within a step"
-        f" could add: a run shows one such moment and may be lucky. {end} CPU: median of the rounds"
-        " (smallest–largest).",
-    )
+def shown_title(trade: Trade) -> str:
+    """Return what `shown_points` are."""
+    return "The contacts that ran" if trade.estimated else "The Pareto front"
 
 
 def shown_points(trade: Trade, conclusion: Conclusion) -> list[TradePoint]:
     """Return what stands first: the points of the front whose worst error is at most `NEAR` times its tolerance.
 
-    Of a bed all that ran, from cheap to dear: they are few, and a wide interval says little of a contact.
+    Where errors are estimated all that ran, from cheap to dear: they are few, and a wide interval says little of a
+    contact.
     """
-    if trade.bed:
+    if trade.estimated:
         return sorted((p for p in trade.points if p.completed), key=lambda p: cost(trade, p) or math.inf)
     by_name = {point.candidate.name: point for point in trade.points}
-    return [p for name in conclusion.front if worst_ratio(p := by_name[name], trade.tolerances) <= NEAR]
+    return [p for name in conclusion.front if worst_ratio(p := by_name[name]) <= NEAR]
+
+
+def _left_out(conclusion: Conclusion, near: Sequence[TradePoint]) -> str:
+    far = len(conclusion.front) - len(near)
+    return f" {far} more points of the front are cheaper, and more than {NEAR:g} times outside." if far else ""
 
 
 def point_table(trade: Trade, conclusion: Conclusion, points: Sequence[TradePoint]) -> Table:
@@ -124,26 +127,49 @@ def point_table(trade: Trade, conclusion: Conclusion, points: Sequence[TradePoin
     rows = []
     for point in points:
         c = point.candidate
-        reference = point is trade.reference
-        chosen = conclusion.chosen is not None and c.name == conclusion.chosen.candidate.name
-        name = f"{short(c)} ← chosen" if chosen else short(c)
-        ratio = worst_ratio(point, trade.tolerances) if point.completed and point.errors else math.inf
+        ratio = worst_ratio(point)
         rows.append(
             (
-                name,
+                short(c),
                 "" if c.factor is None else shown_factor(c.factor),
                 quantity(point.k_n, "N/m", 3),
                 f"{c.steps_per_contact:g}",
                 quantity(point.steps, ""),
                 _cpu(point),
-                *("" if reference else error_text(point.errors.get(metric)) for metric in metrics),
+                *(error_text(point.errors[metric]) if metric in point.errors else "–" for metric in metrics),
                 "" if ratio == math.inf else f"{ratio:.3g}",
                 ", ".join(sign.name for sign in changed(trade, point)),
-                "reference" if reference else {"inside": "ok"}.get(found := verdict_of(point, trade.tolerances), found),
+                _verdict(trade, conclusion, point),
             )
         )
     headings = ("contact", "factor", "k_n", "N", "steps", "CPU", *metrics, "worst", "signs", "")
     return Table(headings, tuple(rows), text=(0, len(headings) - 2, len(headings) - 1))
+
+
+def brief_table(trade: Trade, conclusion: Conclusion, points: Sequence[TradePoint]) -> Table:
+    """Return points as a narrow table: one cost, and of the errors the one that reaches farthest in its tolerance."""
+    priced, unit = {"steps": ("steps", ""), "cpu_seconds": ("CPU", "s")}[trade.cost]
+    rows = []
+    for point in points:
+        worst = max(point.judged, key=partial(reach, point), default=None)
+        rows.append(
+            (
+                contact_text(point.candidate),
+                quantity(point.k_n, "N/m", 3),
+                f"{point.candidate.steps_per_contact:g}",
+                quantity(cost(trade, point), unit, 3 if unit else 4),
+                "" if worst is None else error_text(point.errors[worst]),
+                worst or "",
+                _verdict(trade, conclusion, point),
+            )
+        )
+    return Table(("contact", "k_n", "N", priced, "worst error", "of", ""), tuple(rows), text=(0, 5, 6))
+
+
+def _verdict(trade: Trade, conclusion: Conclusion, point: TradePoint) -> str:
+    if point is trade.reference:
+        return "reference"
+    return "← chosen" if point is conclusion.chosen else verdict_of(point)
 
 
 def short(candidate: Candidate) -> str:
@@ -160,13 +186,6 @@ def _cpu(point: TradePoint) -> str:
     text = f"{factor * float(np.median(point.cpu_seconds)):.3g}"
     text += f" ({factor * low:.3g}–{factor * high:.3g}) {unit}" if len(point.cpu_seconds) > 1 else f" {unit}"
     return text + ("" if point.ran_share == 1.0 else f", {100.0 * point.ran_share:.0f} % run")
-
-
-def error_text(error: MetricError | None) -> str:
-    """Return an error with its uncertainty in percent."""
-    if error is None or error.error is None:
-        return "–"
-    return f"{_share(error.error, error.uncertainty)} %"
 
 
 def _split_table(trade: Trade, points: Sequence[TradePoint]) -> Table:
@@ -194,31 +213,25 @@ def _split_table(trade: Trade, points: Sequence[TradePoint]) -> Table:
 
 
 def _split_cells(split: ErrorSplit) -> tuple[str, ...]:
-    parts = (split.discretisation, split.softness, split.model)
-    known = [part.value for part in parts if part is not None]
+    known = [part.value or 0.0 for part in split.parts.values() if part is not None]
     return (
         split.metric,
         _part(split.total),
-        *(_part(part) for part in parts),
-        f"{100.0 * math.fsum(known):+.3g} %" if known else "–",
-        "–" if split.interaction is None else f"{100.0 * split.interaction:+.2g} %",
+        *map(_part, split.parts.values()),
+        percent(math.fsum(known)) if known else "–",
+        percent(split.interaction),
         ", ".join(split.missing),
     )
 
 
-def _part(part: Part | None) -> str:
-    if part is None:
+def _part(part: Estimate | None) -> str:
+    if part is None or part.value is None:
         return "–"
-    if part.value == 0.0 and not part.uncertainty:
+    if part.value == 0.0 and not part.width:
         return "0"
-    text = f"{_share(part.value, part.uncertainty)} %"
-    return text if part.resolved else f"({text})"
-
-
-def _share(value: float, uncertainty: float | None) -> str:
-    if uncertainty is None:
-        return f"{100.0 * value:+.3g}"
-    return plus_minus(100.0 * value, 100.0 * uncertainty, signed=True)
+    width = 100.0 * (part.width or 0.0)
+    text = f"{plus_minus(100.0 * part.value, width, signed=True)} %" if width else percent(part.value)
+    return text if part.significant else f"({text})"
 
 
 def _convergence_table(trade: Trade) -> Table | None:

@@ -1,4 +1,4 @@
-"""Runs of candidates by one engine, kept and read; those of beds also as far as they came."""
+"""Runs of candidates, kept and read; those that a limit of time stopped also as far as they came."""
 
 from __future__ import annotations
 
@@ -9,16 +9,14 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from threading import Event
-from typing import Generic, TypeVar
 
 from kncal.core.awake import awake
 from kncal.core.errors import InputError, ReadError
 from kncal.core.mpi import check_fit
-from kncal.engines.checkpoint import last_checkpoint
-from kncal.observe.run_data import RunData, observed
+from kncal.engines.checkpoint import Checkpoint, last_checkpoint
+from kncal.observe.run_data import RunData
 from kncal.record.series import read_series
 from kncal.runs.folder import read_model_folder, read_result
-from kncal.runs.records import RESULT
 from kncal.runs.workflow import load
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.plan import plan
@@ -28,25 +26,28 @@ from kncal.study.trade.trade import Candidate
 
 #: Status of a run that a limit of time stopped.
 STOPPED = "timed_out"
-#: Starting and stopping the solvers of a bed takes about so long, as long as nothing was measured [s].
+#: Starting and stopping the solvers of a run with gas takes about so long, as long as nothing was measured [s].
 OVERHEAD = 3.0
 #: Spans of a run with less than this share of the longest one say little about its cost.
 _LONG = 0.25
 #: From so many couplings on a span says what the others will cost.
 _OWN = 20
 
-D = TypeVar("D")
-
 
 @dataclass(kw_only=True)
-class Runs(Generic[D]):
-    """What was run by one engine.
+class Runs:
+    """What was run by one engine; a run that a limit of time stopped continues from its checkpoint when run again.
 
     Attributes
     ----------
     case, folder, engine, transport, workers : as of `kncal.study.run_variants`
+    apart : whether the reference has a folder of its own: two sweeps at a time cannot share one (see `run_beside`)
     ended : name of a candidate -> how its run ended
-    data : name -> what was read, of those that completed (of beds: that came far enough)
+    data : name -> what was read, of those that completed, or came far enough for averages
+    spans : name -> (couplings done, CPU time so far [s]) after each time that it ran, of runs that can be continued
+    couplings : name -> couplings of the whole run
+    overhead : longest time that starting and stopping a run took beside its own limit [s]
+    looking : longest time that reading and observing a run took [s]
     """
 
     case: str | Path
@@ -54,8 +55,13 @@ class Runs(Generic[D]):
     engine: str = "liggghts"
     transport: str = "auto"
     workers: int | None = None
+    apart: bool = False
     ended: dict[str, VariantRun] = field(default_factory=dict)
-    data: dict[str, D] = field(default_factory=dict)
+    data: dict[str, RunData] = field(default_factory=dict)
+    spans: dict[str, list[tuple[int, float]]] = field(default_factory=dict)
+    couplings: dict[str, int] = field(default_factory=dict)
+    overhead: float = field(default_factory=lambda: OVERHEAD)
+    looking: float = 0.5
 
     @property
     def lanes(self) -> int:
@@ -76,89 +82,64 @@ class Runs(Generic[D]):
 
         ``look``: run nothing, read what is there. ``stop``, once set, ends the runs as Ctrl-C would.
         """
-        found = run_variants(
-            self.case,
-            [candidate.variant for candidate in candidates],
-            self.folder,
-            rounds=rounds,
-            engine=self.engine,
-            transport=self.transport,
-            workers=workers or self.workers,
-            timeout=limit,
-            on_progress=None if stop is None else partial(_look, stop),
-            look=look,
-        )
-        self.ended |= found
-        for name, run in found.items():
-            if run.folder is not None:
-                self.read(name, run, run.folder)
+        own = [c for c in candidates if self.apart and c.how == "reference"]
+        for ours, folder in ((own, self.folder / "reference"), ([c for c in candidates if c not in own], self.folder)):
+            found = run_variants(
+                self.case,
+                [candidate.variant for candidate in ours],
+                folder,
+                rounds=rounds,
+                engine=self.engine,
+                transport=self.transport,
+                workers=workers or self.workers,
+                timeout=limit,
+                on_progress=None if stop is None else partial(_look, stop),
+                look=look,
+            )
+            self.ended |= found
+            for name, run in found.items():
+                if run.folder is not None:
+                    self._read(name, run, run.folder)
 
-    def read(self, name: str, run: VariantRun, folder: Path) -> None:
-        """Read what a run left."""
-        raise NotImplementedError
-
-
-class ContactRuns(Runs[RunData]):
-    """Runs of single contacts."""
-
-    def read(self, name: str, run: VariantRun, folder: Path) -> None:
-        """See `Runs.read`."""
-        if run.completed:
-            self.data[name] = load(folder)
-
-
-@dataclass(kw_only=True)
-class BedRuns(Runs[RunData]):
-    """Runs of a bed: one that a limit of time stopped goes on from its checkpoint when it is run again.
-
-    Attributes
-    ----------
-    spans : name -> (couplings done, CPU time so far [s]) after each time that it ran
-    couplings : name -> couplings of the whole run
-    overhead : longest time that starting and stopping a run took beside its own limit [s]
-    looking : longest time that reading and observing a run took [s]
-    """
-
-    spans: dict[str, list[tuple[int, float]]] = field(default_factory=dict)
-    couplings: dict[str, int] = field(default_factory=dict)
-    overhead: float = field(default_factory=lambda: OVERHEAD)
-    looking: float = 0.5
-
-    def read(self, name: str, run: VariantRun, folder: Path) -> None:
-        """See `Runs.read`; a run that came to a part of its time is read so far."""
-        stopped = run.status == STOPPED and last_checkpoint(folder) is not None
-        if not (run.completed or stopped):
+    def _read(self, name: str, run: VariantRun, folder: Path) -> None:
+        """Read what a run left; one that came to a part of its time is read so far."""
+        checkpoint = last_checkpoint(folder) if run.status == STOPPED else None
+        if not run.completed and checkpoint is None:
             return
         began = awake()
-        part = load_part(folder)
-        whole = plan(part.model.scene, (part.model.kind,))[part.model.kind].couplings
-        self.couplings[name] = whole
-        done = spent(folder, run.status, whole)
-        spans = self.spans.setdefault(name, [])
-        if done[0] > (spans[-1][0] if spans else 0):
-            spans.append(done)
+        data = load(folder) if checkpoint is None else load_part(folder)
+        if whole := plan(data.model.scene, (data.model.kind,))[data.model.kind].couplings:
+            done = (whole, run.cpu_seconds[0]) if checkpoint is None else (checkpoint.coupling, _spent(checkpoint))
+            self.couplings[name] = whole
+            spans = self.spans.setdefault(name, [])
+            if done[0] > (spans[-1][0] if spans else 0):
+                spans.append(done)
         with suppress(InputError):  # too short for any average
-            self.data[name] = observed(part)
+            _ = data.estimates
+            self.data[name] = data
         self.looking = max(self.looking, awake() - began)
 
     def open(self, candidate: Candidate) -> bool:
-        """Return whether a candidate can be run, or goes on."""
+        """Return whether a candidate can be run, or continues."""
         ended = self.ended.get(candidate.name)
         return ended is None or ended.status in (WAITING, STOPPED)
 
     def share(self, name: str) -> float:
         """Return the share of its time that a run came to [-]."""
+        if (ended := self.ended.get(name)) is not None and ended.completed:
+            return 1.0
         return self.spans[name][-1][0] / self.couplings[name] if self.spans.get(name) else 0.0
 
-    def whole(self, name: str) -> tuple[float, ...]:
-        """Return the CPU time of the whole run [s] as each span of it gives it.
+    def seconds(self, name: str) -> tuple[float, ...]:
+        """Return the CPU times of a run [s]: one per round, or of the whole run as each span of a part gives it.
 
-        The first, with the start-up of the bed, counts only if it is alone; short ones, mostly the solvers' start, do
-        not. Of a run that completed it is known.
+        The first span, with the start-up, counts only if it is alone; short ones, mostly the solvers' start, do not.
         """
-        spans = self.spans.get(name, [])
-        if not spans or spans[-1][0] == self.couplings[name]:
-            return tuple(cpu for _, cpu in spans[-1:])
+        if (ended := self.ended.get(name)) is not None and ended.completed:
+            return ended.cpu_seconds
+        spans = self.spans.get(name)
+        if not spans:
+            return ()
         steps = [(b[0] - a[0], b[1] - a[1]) for a, b in zip([(0, 0.0), *spans], spans, strict=False)]
         steps = steps[1:] or steps
         long = _LONG * max(couplings for couplings, _ in steps)
@@ -175,7 +156,7 @@ class BedRuns(Runs[RunData]):
     def run_beside(self, reference: Candidate, others: Sequence[Candidate], seconds: float, limit: float) -> None:
         """Run the others for ``limit`` each, and the reference on a worker of its own all the time, ``seconds``.
 
-        With one worker, one after the other.
+        With one worker, one after the other. The reference must be `apart`.
         """
         began, stop = awake(), Event()
         lanes = self.lanes_beside(reference)
@@ -201,22 +182,8 @@ class BedRuns(Runs[RunData]):
         return max(self.lanes - 1, 1) if self.open(reference) else self.lanes
 
 
-def spent(folder: Path, status: str, couplings: int) -> tuple[int, float]:
-    """Return couplings done, of ``couplings``, and CPU time [s] of a run of a bed, from its result or checkpoint."""
-    if status == "completed":
-        result = read_result(folder)
-        try:
-            return result.extra["couplings"], sum(result.extra[f"cpu_{name}"] for name in ("dem", "gas", "exchange"))
-        except KeyError as error:
-            raise ReadError(f"{folder / RESULT}: extra.{error.args[0]}: missing, expected it of a bed") from error
-    checkpoint = last_checkpoint(folder, couplings)
-    if checkpoint is None:
-        return 0, 0.0
-    return checkpoint.coupling, sum(checkpoint.cost.get(name, 0.0) for name in ("dem", "gas", "exchange"))
-
-
 def load_part(folder: Path) -> RunData:
-    """Read a run of a bed as far as it came.
+    """Read a run with gas as far as it came.
 
     Raises
     ------
@@ -229,6 +196,10 @@ def load_part(folder: Path) -> RunData:
     series = read_series(folder / "series")
     model = replace(plan(scene, (kind,))[kind], couplings=len(series.t))
     return RunData(model=model, result=read_result(folder), signals=series)
+
+
+def _spent(checkpoint: Checkpoint) -> float:
+    return sum(checkpoint.cost.get(name, 0.0) for name in ("dem", "gas", "exchange"))
 
 
 def _look(stop: Event, *_: object) -> None:

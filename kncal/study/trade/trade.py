@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
+from kncal.observe.estimate import Estimate
+from kncal.observe.row import Row
 from kncal.observe.softness import Sign
 from kncal.study.variants import Variant
 
@@ -47,43 +49,6 @@ class Candidate:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MetricError:
-    """The error of one metric of a candidate against the reference.
-
-    Attributes
-    ----------
-    metric, unit : name, and unit of ``value`` and ``reference``
-    value, reference : of the two runs, None if it could not be computed
-    error : (value - reference)/scale [-], None if it could not be computed
-    uncertainty : half-width of its 95 % confidence interval [-]: sampling of the averages of a bed (both runs); of
-        single contacts the discretisation error of the reference itself
-    basis : what the scale is
-    reason : why it could not be computed, or what to know
-    needed_end_time : of a bed, while its tolerance leaves it undecided: simulated time of both runs that would decide
-        it [s], predicted from their statistics; None if out of reach
-    """
-
-    metric: str
-    unit: str
-    value: float | None
-    reference: float | None
-    error: float | None
-    uncertainty: float | None
-    basis: str
-    reason: str = ""
-    needed_end_time: float | None = None
-
-    def verdict(self, tolerance: float) -> str:
-        """Return "ok" (the whole interval is within), "outside" (all of it is), "undecided" or "missing"."""
-        if self.error is None:
-            return "missing"
-        width = self.uncertainty or 0.0
-        if abs(self.error) + width <= tolerance:
-            return "ok"
-        return "outside" if abs(self.error) - width > tolerance else "undecided"
-
-
-@dataclass(frozen=True, kw_only=True)
 class TradePoint:
     """A candidate with what was measured.
 
@@ -93,9 +58,11 @@ class TradePoint:
     status, message : "completed", or why there are no numbers ("refused", "failed", "timed_out", "skipped" ...)
     k_n : stiffness of the shortest contact: k_n [N/m], or for Hertz the secant k_h sqrt(delta_max) at v_0 [N/m]
     steps, dt : [-], [s]
-    cpu_seconds : CPU time of each run [s]; of a bed that was run in part: extrapolated to its whole time
+    cpu_seconds : CPU time of each run [s]; of one that was run in part: extrapolated to its whole time
     ran_share : simulated share of the case's time [-]
-    errors : metric -> MetricError
+    errors : metric -> Row of this run and the reference, judged. The width of its difference is the 95 % confidence
+        interval of averages (both runs); of single contacts what is left of the reference's discretisation error, and
+        what another sub-step phase of first touch could add
     signs : what softness did to the physics
     """
 
@@ -107,13 +74,18 @@ class TradePoint:
     dt: float | None = None
     cpu_seconds: tuple[float, ...] = ()
     ran_share: float = 1.0
-    errors: Mapping[str, MetricError] = field(default_factory=dict)
+    errors: Mapping[str, Row] = field(default_factory=dict)
     signs: tuple[Sign, ...] = ()
 
     @property
     def completed(self) -> bool:
         """Whether there are numbers."""
         return self.status == "completed"
+
+    @property
+    def judged(self) -> Mapping[str, Row]:
+        """The errors that have a tolerance."""
+        return {metric: row for metric, row in self.errors.items() if row.tolerance is not None}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,21 +118,8 @@ class TradeOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Part:
-    """One part of an error [-] and the half-width of its 95 % confidence interval, or bound [-] (None: not known)."""
-
-    value: float
-    uncertainty: float | None = None
-
-    @property
-    def resolved(self) -> bool:
-        """Whether it is known to differ from zero."""
-        return self.uncertainty is not None and abs(self.value) > self.uncertainty
-
-
-@dataclass(frozen=True, kw_only=True)
 class ErrorSplit:
-    """Where the error of one metric of one point comes from; each part measured by changing one thing.
+    """Where the error of one metric of one point comes from [-]; each part measured by changing one thing.
 
     Attributes
     ----------
@@ -174,12 +133,17 @@ class ErrorSplit:
     """
 
     metric: str
-    total: Part
-    discretisation: Part | None = None
-    softness: Part | None = None
-    model: Part | None = None
+    total: Estimate
+    discretisation: Estimate | None = None
+    softness: Estimate | None = None
+    model: Estimate | None = None
     interaction: float | None = None
     missing: tuple[str, ...] = ()
+
+    @property
+    def parts(self) -> Mapping[str, Estimate | None]:
+        """The parts by name."""
+        return {"discretisation": self.discretisation, "softness": self.softness, "model": self.model}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -211,7 +175,9 @@ class Trade:
     Attributes
     ----------
     case, title : of the case
-    bed : whether it is a coupled bed
+    cost : what points are ordered by: "cpu_seconds", or "steps" where a run is mostly the start of the solver, whose
+        noise would order them
+    fixed : what every run costs, whatever its steps, in words
     reference : Hertz with the real modulus at a converged step; its ``errors`` are empty
     convergence : how its step was found; None: its N was given
     points : the candidates, in the order tried; Hertz at the real modulus is "reduced_modulus" with factor 1
@@ -224,7 +190,8 @@ class Trade:
 
     case: str
     title: str
-    bed: bool
+    cost: str
+    fixed: str
     reference: TradePoint
     convergence: Convergence | None
     points: tuple[TradePoint, ...]
@@ -233,6 +200,11 @@ class Trade:
     caveats: tuple[str, ...] = ()
     options: TradeOptions = field(default_factory=TradeOptions)
     wall_seconds: float = 0.0
+
+    @property
+    def estimated(self) -> bool:
+        """Whether errors are those of averages, whose intervals a longer run narrows."""
+        return any(row.difference.chance for point in self.points for row in point.errors.values())
 
     def point(self, name: str) -> TradePoint | None:
         """Return the point of the candidate called ``name``, or None."""

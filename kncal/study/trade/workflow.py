@@ -3,7 +3,7 @@
 OUT/trade.json, trade.csv   everything; one row per point
 OUT/report/index.html       the page
 OUT/case.toml               the case with the chosen contact; not there if no contact is inside the tolerances
-OUT/screening, OUT/runs     the runs of single contacts
+OUT/screening, OUT/start, OUT/runs   the runs, see `kncal.study.trade.resolved` and `kncal.study.trade.averaged`
 OUT/case                    the case that was traded, if values were given from outside or the impact speed was measured
 """
 
@@ -15,15 +15,16 @@ from pathlib import Path
 
 from kncal.core.errors import InputError
 from kncal.core.files import write_csv, write_json, write_text
+from kncal.observe.verdict import Verdict
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import CASE, dump_case, load_case
 from kncal.scene.scene import Scene
 from kncal.study.folders import refuse_other
-from kncal.study.trade.answer import describe, sentences, to_dict, to_frame
+from kncal.study.trade.answer import answer, describe, to_dict, to_frame
 from kncal.study.trade.candidates import check_reference
 from kncal.study.trade.cost_law import Law, laws
 from kncal.study.trade.front import Conclusion, conclude
-from kncal.study.trade.run import trade_bed, trade_contacts
+from kncal.study.trade.run import trade_scene
 from kncal.study.trade.trade import Tell, Trade, TradeOptions, TradePoint
 from kncal.study.variants import texts
 
@@ -43,7 +44,7 @@ class TradeResult:
     Attributes
     ----------
     trade, conclusion, laws : the numbers
-    sentences : the answer in words
+    answer : in words
     folder : of everything
     page : the report
     case : the case file with the chosen contact, or None
@@ -52,7 +53,7 @@ class TradeResult:
     trade: Trade
     conclusion: Conclusion
     laws: tuple[Law, ...]
-    sentences: tuple[str, ...]
+    answer: Verdict
     folder: Path
     page: Path
     case: Path | None
@@ -86,7 +87,7 @@ def run_trade(
     InputError
         If there is no tolerance to judge by, an option is out of range, or ``out`` holds anything else.
     CaseFileError, RunError
-        As `kncal.study.trade.run.trade_contacts` and `kncal.study.trade.run.trade_bed`.
+        As `kncal.study.trade.run.trade_scene`.
     """
     scene = load_case(case, overrides=overrides)
     tolerances: Mapping[str, float] = options.tolerances or scene.tolerances
@@ -102,11 +103,7 @@ def run_trade(
     if overrides or scene.contact.measured is not None:
         case, scene = _written(scene, out, options, told)
     check_reference(case, options.reference)
-    if isinstance(scene, BedScene):
-        trade = trade_bed(case, scene, out, options, told)
-    else:
-        trade = trade_contacts(case, scene, out, options, told)
-    return write_trade(case, trade, out)
+    return write_trade(case, trade_scene(case, scene, out, options, told), out)
 
 
 def _written(scene: Scene | BedScene, out: Path, options: TradeOptions, tell: Tell) -> tuple[Path, Scene | BedScene]:
@@ -161,7 +158,7 @@ def write_trade(case: str | Path, trade: Trade, out: Path) -> TradeResult:
         trade=trade,
         conclusion=conclusion,
         laws=found,
-        sentences=sentences(trade, conclusion, found),
+        answer=answer(trade, conclusion, found),
         folder=out,
         page=page,
         case=None if conclusion.chosen is None else chosen,
