@@ -73,7 +73,7 @@ def run_data(
     )
     n, generator = model.couplings, np.random.default_rng(seed)
     edges = np.concatenate([[0.0], np.geomspace(1e-9, 1e-4, 61)])
-    facts = bed_facts(model, edges)
+    facts = bed_facts(model, edges, np.array([]))
     mean = MEANS | dict(means or {})
     signal = {name: value * (1.0 + SPREAD * ar1(generator, n, tau)) for name, value in mean.items()}
     gas_weight = facts.gas_density * facts.gravity * (np.prod(facts.size) - facts.mass / facts.density)
