@@ -9,6 +9,9 @@ DEMO := kncal compare falling_particle --engine liggghts --out $(OUT)
 EXAMPLES := 100000
 BED_DEMO := kncal compare bubbling_bed_mini --set run.end_time=0.1 --out $(BED_OUT)
 
+# Tests start kncal in many processes: each would compile it anew.
+unexport PYTHONDONTWRITEBYTECODE
+
 .DEFAULT_GOAL := help
 .PHONY: help demo demo-bed studies adapter check test test-long lint clean setup setup-dev
 

@@ -2,55 +2,72 @@
 
 from __future__ import annotations
 
+import contextlib
+import multiprocessing
 import resource
-import subprocess
-import sys
 import textwrap
 from collections.abc import Callable
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+from kncal.core.errors import KncalError
 
 #: Beyond what the imports of kncal take [bytes], and processor time [s].
 MEMORY, SECONDS = 1 << 30, 20
 
-_START = """
-import resource
-import numpy, pandas, scipy.spatial, pydantic
-from pathlib import Path
-import kncal.scene.case_file, kncal.scene.plan, kncal.record.series, kncal.runs.folder
-from kncal.scene.plan import plan
-from kncal.scene.bed_case_file import parse_bed
-import kncal.record.liggghts_dump, kncal.record.liggghts_log, kncal.record.openfoam
-import kncal.scene.meshes, kncal.core.arrays
-from kncal.core.errors import KncalError
-used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-resource.setrlimit(resource.RLIMIT_AS, (used + {memory},) * 2)
-resource.setrlimit(resource.RLIMIT_CPU, (int(resource.getrusage(resource.RUSAGE_SELF).ru_utime) + {seconds},) * 2)
-def attempt(what):
-    try:
-        what()
-    except KncalError as error:
-        print(type(error).__name__, str(error).replace("\\n", " ")[:300])
-    else:
-        print("accepted")
-"""
+#: What the code may use; children are forked from a process that has imported it, which takes a second.
+_MODULES = (
+    "numpy",
+    "pandas",
+    "scipy.spatial",
+    "kncal.core.arrays",
+    "kncal.record.liggghts_dump",
+    "kncal.record.liggghts_log",
+    "kncal.record.openfoam",
+    "kncal.record.series",
+    "kncal.runs.folder",
+    "kncal.scene.bed_case_file",
+    "kncal.scene.case_file",
+    "kncal.scene.meshes",
+    "kncal.scene.plan",
+)
+_NAMES = "import tomllib, kncal\nfrom kncal.scene.plan import plan\nfrom kncal.scene.bed_case_file import parse_bed\n"
+_CONTEXT = multiprocessing.get_context("forkserver")
+_CONTEXT.set_forkserver_preload(list(_MODULES))
 
 
 def bounded(code: str) -> list[str]:
-    """Run ``code`` with `attempt` at hand in a child; return its lines; fail if it needs more than it may."""
-    text = _START.format(memory=MEMORY, seconds=SECONDS) + textwrap.dedent(code)
-    done = subprocess.run(
-        [sys.executable, "-c", text],
-        capture_output=True,
-        text=True,
-        timeout=280,
-        check=False,
-        preexec_fn=_no_core,
-    )
-    assert done.returncode == 0, f"code {done.returncode}: {done.stderr[-2000:]}"
-    return done.stdout.splitlines()
+    """Run ``code`` with `attempt` at hand in a child; return what became of each; fail if it needs more than it may."""
+    mine, its = _CONTEXT.Pipe(duplex=False)
+    child = _CONTEXT.Process(target=_run, args=(textwrap.dedent(code), its))
+    child.start()
+    its.close()
+    lines: list[str] = []
+    with mine, contextlib.suppress(EOFError):
+        while mine.poll(280.0):
+            lines.append(mine.recv())
+    child.join(10.0)
+    child.kill()  # if it hangs
+    child.join()
+    assert child.exitcode == 0, f"code {child.exitcode} after {lines}"
+    return lines
 
 
-def _no_core() -> None:
+def _run(code: str, out: Connection) -> None:
+    names = {"Path": Path}
+    exec("".join(f"import {module}\n" for module in _MODULES) + _NAMES, names)  # noqa: S102
+
+    def attempt(what: Callable[[], object]) -> None:
+        try:
+            what()
+        except KncalError as error:
+            out.send(f"{type(error).__name__} {error}".replace("\n", " ")[:300])
+        else:
+            out.send("accepted")
+
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    time = int(resource.getrusage(resource.RUSAGE_SELF).ru_utime)
+    resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY,) * 2)
+    resource.setrlimit(resource.RLIMIT_CPU, (time + SECONDS,) * 2)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-
-
-Attempt = Callable[[], object]
+    exec(code, names | {"attempt": attempt})  # noqa: S102
