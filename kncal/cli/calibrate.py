@@ -2,54 +2,52 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 from cyclopts import Parameter
 
 from kncal.cli import show
-from kncal.cli.flags import CaseFlags, ContactFlags, EngineFlags, Json, refuse_ignored
-from kncal.cli.kn_tables import MOST_TABLES, kn_data, kn_print, own_options, print_many, row_of
-from kncal.cli.speeds import (
-    FromRun,
-    Picture,
-    Uncertain,
-    kn_from_run,
-    print_propagation,
-    propagate_pair,
-    texts,
-)
+from kncal.cli.flags import Case, CaseFlags, ContactFlags, EngineFlags, Flags, Json, MethodFlags, refuse_ignored
+from kncal.cli.kn_tables import MOST_TABLES, kn_data, kn_print, print_many, row_of
+from kncal.cli.speeds import FromRun, Picture, Uncertain, kn_from_run, print_propagation, propagate_pair, texts
 from kncal.core.errors import InputError
 
 if TYPE_CHECKING:
     from kncal.physics.material import Pair
     from kncal.scene.bed_scene import BedScene
-    from kncal.scene.scene import ContactChoice, Scene
+    from kncal.scene.scene import ContactChoice, Particle, Scene
+    from kncal.scene.species import Body
 
 #: A block of more characters is for a file, not for a terminal: a dozen atom types.
 _LONG_BLOCK = 20_000
 
 
-def kn(
-    case: str | None = None,
-    *,
-    contact: ContactFlags | None = None,
-    method: Annotated[str, Parameter(help="the method whose numbers go into the LIGGGHTS block")] = "mean_overlap",
-    fraction: Annotated[float, Parameter(help="allowed overlap of limited_overlap, of the diameter")] = 0.01,
-    t_c: Annotated[float | None, Parameter(name="--t-c", help="duration [s] for contact_time")] = None,
-    force: Annotated[float | None, Parameter(help="resting force [N] for static_load")] = None,
-    factor: Annotated[float, Parameter(help="prefactor of youngs_modulus")] = 1.0,
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class BlockFlags(Flags):
+    """The block to paste into a LIGGGHTS deck, and the time steps that are printed."""
+
     steps_per_contact: Annotated[
         float | None,
-        Parameter(help="N of the time steps that are printed; default: as in the case, else 50, more for small e_n"),
-    ] = None,
+        Parameter(help="steps per contact N; default: that of the case, else 50 (more for a small e_n)"),
+    ] = None
     style: Annotated[
-        Literal["hooke/stiffness", "hooke", "hertz"], Parameter(help="LIGGGHTS' normal model in the block to paste")
-    ] = "hooke/stiffness",
+        Literal["hooke/stiffness", "hooke", "hertz"], Parameter(help="LIGGGHTS' normal model in the block")
+    ] = "hooke/stiffness"
     friction: Annotated[
-        float | None, Parameter(help="Coulomb friction in that block; default 0; a case holds its own")
-    ] = None,
+        float | None, Parameter(help="Coulomb friction in the block; default 0; not with a case, which has its own")
+    ] = None
+
+
+def kn(
+    case: Case | None = None,
+    *,
+    contact: ContactFlags | None = None,
+    how: MethodFlags | None = None,
+    block: BlockFlags | None = None,
     from_run: FromRun = None,
     uncertain: Uncertain = None,
     picture: Picture = None,
@@ -57,61 +55,51 @@ def kn(
     by: EngineFlags | None = None,
     json: Json = False,
 ) -> None:
-    """Linear stiffness and damping by every method, for a material given by flags or for the pairs of a CASE.
+    """Calibrate the linear stiffness and damping by every method.
 
-    With --from-run the impact speeds of a run are used. If contact.v_0 of CASE is "measured", the case is run first to
-    measure them: by --engine, in the folder --out.
+    Without CASE the flags describe one contact. With CASE: all pairs of the case. With --from-run: at the impact speeds
+    that a run had. If CASE has contact.v_0 = "measured", it is run first: by --engine, in the folder --out.
+
+    --method chooses whose numbers go into the block for LIGGGHTS.
 
     Example: kncal kn --young 70e9 --poisson 0.22 --density 2500 --radius 1e-3 --v0 0.5 --en 0.9
-
-    Parameters
-    ----------
-    case
-        A shipped case's name, a case folder or a case.toml; without it the flags describe the contact.
     """
-    flags, at, by = contact or ContactFlags(), at or CaseFlags(), by or EngineFlags()
-    of_options = _changed(method=method != "mean_overlap", fraction=fraction != 0.01, t_c=t_c, force=force)
-    of_options += _changed(factor=factor != 1.0)
-    of_block = _changed(style=style != "hooke/stiffness", friction=friction)
-    of_steps = _changed(steps_per_contact=steps_per_contact)
-    options = {"fraction": fraction, "factor": factor}
-    options |= {name: value for name, value in (("t_c", t_c), ("force", force)) if value is not None}
-    own = [*flags.given(), *(["--set"] if at.overrides else []), *([case] if case else [])]
+    flags, how, block = contact or ContactFlags(), how or MethodFlags(), block or BlockFlags()
+    at, by = at or CaseFlags(), by or EngineFlags()
     if from_run is not None:
+        own = [*flags.given(), *(["--set"] if at.overrides else []), *([case] if case else [])]
         if own:
             raise InputError(f"{own[0]} and --from-run: the run's case holds these numbers: expected one or the other")
-        ignored = [*of_options, *of_steps, *of_block, *by.given(), *at.given()]
-        refuse_ignored("--from-run (the method is that of the run's case)", ignored)
+        refuse_ignored(
+            "--from-run (the method is that of the run's case)",
+            [*how.given(), *block.given(), *by.given(), *at.given()],
+        )
         kn_from_run(from_run, uncertain or (), picture, json=json)
         return
     if picture is not None:
         raise InputError("--picture shows the impact speeds of a run: expected --from-run too, or leave it out")
+    if case is None and at.overrides:
+        raise InputError("--set needs a case whose values it replaces: name a case, or leave it out")
     if case is not None:
         if given := flags.given():
             raise InputError(
                 f"{given[0]} and the case {case!r}: the case holds these numbers; expected one or the other"
             )
-        ignored = [flag for flag in (*of_options, *of_block) if flag in ("--method", "--friction")]
+        ignored = [flag for flag in (*how.given(), *block.given()) if flag in ("--method", "--friction")]
         refuse_ignored(f"the case {case!r}, which holds its own", ignored)
         scene, folder = at.load(case)
         if scene.contact.measured is None:
             _refuse_measuring(at, by)
         by.check(scene)
-        _kn_case(by.measured(scene, folder), uncertain or (), options, steps_per_contact, style, json=json)
+        _kn_case(by.measured(scene, folder), uncertain or (), how.options, block, json=json)
         return
-    if at.overrides:
-        raise InputError("--set needs a case whose values it replaces: name a case, or leave it out")
     _refuse_measuring(at, by)
     if uncertain:
-        refuse_ignored("--uncertain, which gives the distribution of k_n alone", [*of_steps, *of_block])
-        _kn_flags_uncertain(flags, uncertain, method, options, json=json)
-        return
-    _kn_flags(flags, method, options, steps_per_contact, style, friction or 0.0, json=json)
-
-
-def _changed(**given: object) -> list[str]:
-    """Return the flags that are given: neither None nor False."""
-    return [f"--{name.replace('_', '-')}" for name, value in given.items() if value is not None and value is not False]
+        ignored = block.given()
+        refuse_ignored("--uncertain, which gives the distribution of k_n alone", ignored)
+        _kn_flags_uncertain(flags, uncertain, how, json=json)
+    else:
+        _kn_flags(flags, how, block, json=json)
 
 
 def _refuse_measuring(at: CaseFlags, by: EngineFlags) -> None:
@@ -120,65 +108,24 @@ def _refuse_measuring(at: CaseFlags, by: EngineFlags) -> None:
         raise InputError(f'{name} is for a case with contact.v_0 = "measured": leave it out')
 
 
-def _kn_flags(
-    flags: ContactFlags,
-    method: str,
-    options: dict[str, Any],
-    n: float | None,
-    style: str,
-    friction: float,
-    *,
-    json: bool,
-) -> None:
+def _kn_flags(flags: ContactFlags, how: MethodFlags, block: BlockFlags, *, json: bool) -> None:
     """Print the calibration of the contact that the flags describe."""
     from kncal.engines.liggghts.deck_block import matrix_block
     from kncal.physics.timestep import usual_steps
 
     pair, v_0, e_n = flags.pair(), flags.speed(), flags.restitution()
-    steps = usual_steps(flags.law, e_n, flags.end) if n is None else n
-    data = kn_data(pair, v_0, e_n, flags.law, flags.end, options, steps)
-    matrix = flags.matrix(method, own_options(method, options))
-    block = matrix_block(matrix, style, friction=friction, steps_per_contact=steps)
+    steps = block.steps_per_contact
+    steps = usual_steps(flags.law, e_n, flags.end) if steps is None else steps
+    data = kn_data(pair, v_0, e_n, flags.law, flags.end, how.options, steps)
+    text = matrix_block(flags.matrix(how), block.style, friction=block.friction or 0.0, steps_per_contact=steps)
     if json:
-        show.as_json(data | {"liggghts": block})
+        show.as_json(data | {"liggghts": text})
         return
-    kn_print(flags.title(), data)
-    _say_block(f"{method}, {style}", block)
+    kn_print(flags.title, data)
+    _say_block(f"{how.method}, {block.style}", text)
 
 
-class _CasePair(NamedTuple):
-    """A pair of a case and what the case says about it; ``v_0`` and ``k_n`` may be None.
-
-    It stands for ``number`` pairs of bodies that are alike (of a bed: 1).
-    """
-
-    names: tuple[str, str]
-    pair: Pair
-    e_n: float
-    v_0: float | None
-    k_n: float | None
-    number: int = 1
-
-    @property
-    def name(self) -> str:
-        """Both names as one."""
-        return "–".join(self.names)
-
-
-def _pairs(scene: Scene | BedScene) -> Iterator[_CasePair]:
-    """Every pair of species of a case."""
-    from kncal.scene.plan import pair_of, species_choices
-    from kncal.scene.species import species_of
-
-    species = species_of(scene)
-    for which, (e_n, _, v_0, k_n) in species_choices(scene).items():
-        a, b = species.bodies(which)
-        yield _CasePair((a.name, b.name), pair_of(a, b), e_n, v_0, k_n, species.meetings(which))
-
-
-def _kn_flags_uncertain(
-    flags: ContactFlags, uncertain: Sequence[str], method: str, options: dict[str, Any], *, json: bool
-) -> None:
+def _kn_flags_uncertain(flags: ContactFlags, uncertain: Sequence[str], how: MethodFlags, *, json: bool) -> None:
     """Print how uncertain k_n of the contact that the flags describe is."""
     from kncal.physics.uncertainty import propagate
 
@@ -191,50 +138,78 @@ def _kn_flags_uncertain(
         e_n=flags.en,
         pair_of=pair_of,
         law=flags.law,
-        method=method,
+        method=how.method,
         end=flags.end,
-        **own_options(method, options),
+        **how.own(),
     )
     if json:
-        show.as_json({"method": method, "uncertain": found.to_dict()})
+        show.as_json({"method": how.method, "uncertain": found.to_dict()})
     else:
-        print_propagation(f"{flags.title()}, {method}", found)
+        print_propagation(f"{flags.title}, {how.method}", found)
+
+
+class _CasePair(NamedTuple):
+    """A pair of species of a case: two bodies that stand for it, and what the case says; ``v_0``, ``k_n`` may be None.
+
+    ``number``: of pairs of bodies that are alike (of groups: 1).
+    """
+
+    bodies: tuple[Particle, Body]
+    pair: Pair
+    e_n: float
+    v_0: float | None
+    k_n: float | None
+    number: int = 1
+
+    @property
+    def name(self) -> str:
+        """Both names as one."""
+        return "–".join(body.name for body in self.bodies)
+
+
+def _pairs(scene: Scene | BedScene) -> Iterator[_CasePair]:
+    """Every pair of species of a case."""
+    from kncal.scene.plan import pair_of, species_choices
+    from kncal.scene.species import species_of
+
+    species = species_of(scene)
+    for which, (e_n, _, v_0, k_n) in species_choices(scene).items():
+        bodies = species.bodies(which)
+        yield _CasePair(bodies, pair_of(*bodies), e_n, v_0, k_n, species.meetings(which))
 
 
 def _kn_case(
-    scene: Scene | BedScene,
-    uncertain: Sequence[str],
-    options: dict[str, Any],
-    n: float | None,
-    style: str,
-    *,
-    json: bool,
+    scene: Scene | BedScene, uncertain: Sequence[str], options: dict[str, Any], block: BlockFlags, *, json: bool
 ) -> None:
+    """Print the calibration of all pairs of a case."""
     from kncal.engines.liggghts.deck_block import case_block
 
     contact = scene.contact
-    merged = options | dict(contact.method_options)
-    steps = scene.run.steps_per_contact if n is None else n
-    result: dict[str, dict[str, Any]] = {}
-    pairs = list(_pairs(scene))
+    steps = scene.run.steps_per_contact if block.steps_per_contact is None else block.steps_per_contact
+    pairs = {pair.name: pair for pair in _pairs(scene)}
     many = len(pairs) > MOST_TABLES
     if many and uncertain:
         raise InputError(
             f"{scene.name}: {len(pairs)} pairs of unlike bodies: --uncertain takes at most {MOST_TABLES}: expected a "
             "case with fewer materials, sizes and exceptions"
         )
-    for p in pairs:
-        only = contact.method if many else None
-        data = kn_data(p.pair, p.v_0, p.e_n, contact.law, contact.end, merged, steps, only)
+    result: dict[str, dict[str, Any]] = {}
+    for name, p in pairs.items():
+        given = options | dict(contact.method_options)
+        data = kn_data(p.pair, p.v_0, p.e_n, contact.law, contact.end, given, steps, contact.method if many else None)
         if p.k_n is not None:
             data["methods"].append(_prescribed(contact, p, steps))
-        result[p.name] = data | {"k_n_prescribed": p.k_n, "pairs_of_bodies": p.number}
-    spreads = {p.name: propagate_pair(scene, p.names, uncertain, e_n=p.e_n, v_0=p.v_0) for p in pairs if uncertain}
+        result[name] = data | {"k_n_prescribed": p.k_n, "pairs_of_bodies": p.number}
+    spreads = {
+        name: propagate_pair(contact, p.bodies, uncertain, e_n=p.e_n, v_0=p.v_0)
+        for name, p in pairs.items()
+        if uncertain
+    }
     for name, spread in spreads.items():
         result[name]["uncertain"] = spread.to_dict()
-    block = case_block(scene, style, steps)
+    text = case_block(scene, block.style, steps)
     if json:
-        show.as_json({"case": scene.name, "method": scene.contact.method, "pairs": result, "liggghts": block})
+        show.as_json({"case": scene.name, "method": contact.method, "pairs": result, "liggghts": text})
         return
     if many:
         print_many(scene.name, contact.method, result)
@@ -242,8 +217,8 @@ def _kn_case(
         _kn_print_pair(name, data, contact.method)
         if name in spreads:
             show.say()
-            print_propagation(f"{name}, {scene.contact.method}", spreads[name])
-    _say_block(style, block)
+            print_propagation(f"{name}, {contact.method}", spreads[name])
+    _say_block(block.style, text)
 
 
 def _say_block(what: str, block: str) -> None:
@@ -283,10 +258,10 @@ def _prescribed(contact: ContactChoice, p: _CasePair, steps: float) -> dict[str,
     }
 
 
-def _kn_print_pair(name: str, data: Mapping[str, Any], method: str) -> None:
+def _kn_print_pair(name: str, data: dict[str, Any], method: str) -> None:
     if data["pairs_of_bodies"] > 1:
         show.say(f"{name} stands for {data['pairs_of_bodies']} pairs of bodies that are alike:")
-    kn_print(name, dict(data))
+    kn_print(name, data)
     if data["v_0"] is None:
         show.say(f"{name}: the case has no impact speed to calibrate at (contact.v_0 sets one)")
     if data["k_n_prescribed"] is not None:
@@ -298,33 +273,23 @@ def _kn_print_pair(name: str, data: Mapping[str, Any], method: str) -> None:
 def collide(
     *,
     contact: ContactFlags | None = None,
-    method: Annotated[str, Parameter(help="method for the stiffness of the linear contact")] = "mean_overlap",
-    fraction: Annotated[float | None, Parameter(help="allowed overlap of limited_overlap, of the diameter")] = None,
-    t_c: Annotated[float | None, Parameter(name="--t-c", help="duration [s] for contact_time")] = None,
-    force: Annotated[float | None, Parameter(help="resting force [N] for static_load")] = None,
-    factor: Annotated[float | None, Parameter(help="prefactor of youngs_modulus")] = None,
+    how: MethodFlags | None = None,
     out: Annotated[Path, Parameter(help="picture to write (.png or .svg)")] = Path("collide.png"),
     json: Json = False,
 ) -> None:
-    """Solve one impact exactly, by the reference law and by its linear equivalent, and plot both.
+    """Solve one impact exactly, with the reference law and with its linear equivalent, and draw both.
 
     Example: kncal collide --young 70e9 --density 2500 --radius 1e-3 --v0 0.5 --en 0.7 --against wall
     """
     from kncal.physics.calibration import calibrate
     from kncal.report.collision import plot_collision
 
-    flags = contact or ContactFlags()
-    pair = flags.pair()
-    given = {"fraction": fraction, "t_c": t_c, "force": force, "factor": factor}
-    calibration = calibrate(
-        pair,
-        v_0=flags.speed(),
-        e_n=flags.restitution(),
-        law=flags.law,
-        method=method,
-        end=flags.end,
-        **{name: value for name, value in given.items() if value is not None},
-    )
+    flags, how = contact or ContactFlags(), how or MethodFlags()
+    own = how.own()
+    taken = ["--method", *(f"--{name.replace('_', '-')}" for name in own)]
+    refuse_ignored(f"the method {how.method}", [flag for flag in how.given() if flag not in taken])
+    pair, speed, restitution = flags.pair(), flags.speed(), flags.restitution()
+    calibration = calibrate(pair, v_0=speed, e_n=restitution, law=flags.law, method=how.method, end=flags.end, **own)
     plot_collision(calibration, out)
     data = calibration.to_dict()
     if json:
@@ -335,8 +300,8 @@ def collide(
         for name, unit in (("t_c", "s"), ("delta_max", "m"), ("delta_mean", "m"), ("delta_end", "m"))
     ]
     rows.append(["stiffness", show.quantity(float(pair.k_h), "N/m^1.5"), show.quantity(data["k_n"], "N/m")])
-    title = f"{flags.title()}: one impact at {data['v_0']:g} m/s, e_n = {data['e_n']:g}"
-    show.table(title, ["", flags.law, f"linear ({method})"], rows)
+    title = f"{flags.title}: one impact at {data['v_0']:g} m/s, e_n = {data['e_n']:g}"
+    show.table(title, ["", flags.law, f"linear ({how.method})"], rows)
     for warning in data["warnings"]:
-        show.say(f"  warning: {warning['message']}")
+        show.say(f"  {show.kind_of(warning['code'])}: {warning['message']}")
     show.say(f"picture: {out}")

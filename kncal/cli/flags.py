@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 _S = TypeVar("_S", bound="Scene | BedScene")
 
+Case = Annotated[str, Parameter(help="name of a shipped case, a case folder, or a case.toml")]
 Json = Annotated[bool, Parameter(name="--json", negative="", help="print data for programs")]
 ModelChoice = Annotated[
     Literal["both", "linear", "hertz"], Parameter(name="--model", help="which contact model to use")
@@ -128,6 +129,30 @@ class RanksFlags(EngineFlags):
         return engine_for(scene, self.engine, self.transport, ranks=self.ranks, oversubscribe=self.oversubscribe)
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class MethodFlags(Flags):
+    """How the linear stiffness is found."""
+
+    method: Annotated[str, Parameter(help="method for k_n, see `kncal laws`")] = "mean_overlap"
+    fraction: Annotated[float, Parameter(help="for limited_overlap: allowed overlap over the diameter")] = 0.01
+    t_c: Annotated[float | None, Parameter(name="--t-c", help="for contact_time: duration of the contact [s]")] = None
+    force: Annotated[float | None, Parameter(help="for static_load: force at rest [N]")] = None
+    factor: Annotated[float, Parameter(help="for youngs_modulus: prefactor")] = 1.0
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """The options of all methods that are known."""
+        given = {"fraction": self.fraction, "t_c": self.t_c, "force": self.force, "factor": self.factor}
+        return {name: value for name, value in given.items() if value is not None}
+
+    def own(self) -> dict[str, Any]:
+        """Return the options of the method."""
+        from kncal.physics.methods import METHODS
+
+        return METHODS.find(self.method).own(self.options)
+
+
 _OF_SECOND = "of the second sphere or of the wall; default: as the first"
 
 
@@ -156,11 +181,10 @@ class ContactFlags(Flags):
     density_2: Annotated[float | None, Parameter(help=_OF_SECOND)] = None
     radius_2: Annotated[float | None, Parameter(help="of the second sphere [m]; default: as the first")] = None
 
+    @property
     def title(self) -> str:
-        """Return what meets what, for a heading."""
-        return {"sphere": "sphere on sphere", "wall": "sphere on wall", "rigid-wall": "sphere on rigid wall"}[
-            self.against
-        ]
+        """What meets what, for a heading."""
+        return f"sphere on {self.against.replace('-', ' ')}"
 
     def speed(self) -> float:
         """Return v_0 [m/s]."""
@@ -186,7 +210,8 @@ class ContactFlags(Flags):
         """
         from kncal.physics.material import pair, wall_pair
 
-        first, radius, second = self._first(), _needed("--radius", self.radius), self._second()
+        first, radius = self._first(), _needed("--radius", self.radius)
+        second = self._second(first)
         if self.against == "sphere":
             return pair(first, radius, second, self.radius_2)
         if self.radius_2 is not None:
@@ -205,20 +230,19 @@ class ContactFlags(Flags):
         self.pair()  # refuses what is missing or wrong
 
         def meet(material: Material, radius: Any) -> Pair:
-            changed = {"young": self.young_2, "poisson": self.poisson_2, "density": self.density_2}
-            given: dict[str, Any] = {key: value for key, value in changed.items() if value is not None}
-            second = replace(material, **given)
+            second = self._second(material)
             if self.against == "sphere":
                 return pair(material, radius, second, radius if self.radius_2 is None else self.radius_2)
             return wall_pair(material, radius, None if self.against == "rigid-wall" else second)
 
         return self._first(), _needed("--radius", self.radius), meet
 
-    def matrix(self, method: str, options: Mapping[str, Any]) -> PairMatrix:
+    def matrix(self, how: MethodFlags) -> PairMatrix:
         """Return the calibrations of the pairs of these two bodies, for a deck: the flags' own contact among them."""
         from kncal.physics.matrix import calibrate_matrix
 
-        first, radius, second = self._first(), _needed("--radius", self.radius), self._second()
+        first, radius = self._first(), _needed("--radius", self.radius)
+        second = self._second(first)
         spheres = {"sphere": (first, radius)}
         walls: dict[str, Material | None] = {}
         if self.against != "sphere":
@@ -233,9 +257,9 @@ class ContactFlags(Flags):
             v_0=self.speed(),
             e_n=self.restitution(),
             law=self.law,
-            method=method,
+            method=how.method,
             end=self.end,
-            **options,
+            **how.own(),
         )
 
     def _first(self) -> Material:
@@ -245,15 +269,10 @@ class ContactFlags(Flags):
             young=_needed("--young", self.young), poisson=self.poisson, density=_needed("--density", self.density)
         )
 
-    def _second(self) -> Material:
-        from kncal.physics.material import Material
-
-        first = self._first()
-        return Material(
-            young=first.young if self.young_2 is None else self.young_2,
-            poisson=first.poisson if self.poisson_2 is None else self.poisson_2,
-            density=first.density if self.density_2 is None else self.density_2,
-        )
+    def _second(self, first: Material) -> Material:
+        changed = {"young": self.young_2, "poisson": self.poisson_2, "density": self.density_2}
+        given: dict[str, Any] = {key: value for key, value in changed.items() if value is not None}
+        return replace(first, **given)
 
 
 def _needed(flag: str, value: float | None) -> float:

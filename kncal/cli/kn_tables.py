@@ -37,8 +37,7 @@ def print_many(case: str, method: str, result: Mapping[str, dict[str, Any]]) -> 
         if "problem" in row:
             problems[row["problem"]] = problems.get(row["problem"], 0) + 1
             continue
-        cells = ["" if row[c] is None else show.quantity(row[c], unit) for c, unit in COLUMNS]
-        rows.append((row["t_c"], [name, str(data["pairs_of_bodies"]), *cells, show.quantity(row["dt"], "s")]))
+        rows.append((row["t_c"], [name, str(data["pairs_of_bodies"]), *_cells(row), show.quantity(row["dt"], "s")]))
         for warning in row["warnings"]:
             texts = warnings.setdefault(warning["code"], {})
             texts[warning["message"]] = texts.get(warning["message"], 0) + 1
@@ -56,10 +55,13 @@ def print_many(case: str, method: str, result: Mapping[str, dict[str, Any]]) -> 
     for problem, number in list(problems.items())[:_MOST_TEXTS]:
         show.say(f"  no result for {number} pairs: {problem}")
     for code, texts in warnings.items():
-        kind = "note" if code == "attraction" else "warning"
         one = next(iter(texts))
         more = f" (the first of {len(texts)} such texts; --json prints all)" if len(texts) > 1 else ""
-        show.say(f"  {kind} ({sum(texts.values())} pairs): {one}{more}")
+        show.say(f"  {show.kind_of(code)} ({sum(texts.values())} pairs): {one}{more}")
+
+
+def _cells(row: Mapping[str, Any]) -> list[str]:
+    return ["" if row[name] is None else show.quantity(row[name], unit) for name, unit in COLUMNS]
 
 
 def row_of(c: Calibration, steps: float) -> dict[str, Any]:
@@ -88,28 +90,24 @@ def kn_data(
 ) -> dict[str, Any]:
     """Calibrate one pair by every method, or by ``only`` one."""
     from kncal.core.errors import ValidityError
-    from kncal.physics.calibration import calibrate
+    from kncal.physics.calibration import calibrate_all
     from kncal.physics.methods import METHODS
 
     rows: list[dict[str, Any]] = []
     reference: dict[str, Any] = {}
-    for name, row in METHODS.items():
-        if v_0 is None:
-            break
+    found = {} if v_0 is None else calibrate_all(pair, v_0=v_0, e_n=e_n, law=law, end=end, options=options)
+    for name, method in METHODS.items() if v_0 is not None else ():
         if only is not None and name != only:
             continue
-        own = own_options(name, options)
-        missing = [k for k in row.required if k not in own]
-        if missing:
-            rows.append({"method": name, "problem": f"needs --{missing[0].replace('_', '-')}"})
-            continue
-        try:
-            c = calibrate(pair, v_0=v_0, e_n=e_n, law=law, method=name, end=end, **own)
-        except ValidityError as error:
-            rows.append({"method": name, "problem": str(error)})
-            continue
-        rows.append(row_of(c, steps))
-        reference = rows[-1].pop("reference")
+        match found.get(name):
+            case None:
+                missing = next(option for option in method.required if option not in options)
+                rows.append({"method": name, "problem": f"needs --{missing.replace('_', '-')}"})
+            case ValidityError() as error:
+                rows.append({"method": name, "problem": str(error)})
+            case calibration:
+                rows.append(row_of(calibration, steps))
+                reference = rows[-1].pop("reference")
     return {
         "law": law,
         "end": end,
@@ -147,29 +145,14 @@ def kn_print(name: str, data: dict[str, Any]) -> None:
         if "problem" in row:
             rows.append([row["method"], row["problem"]] + [""] * (len(columns) - 2))
             continue
-        rows.append(
-            [
-                row["method"],
-                *("" if row[c] is None else show.quantity(row[c], unit) for c, unit in COLUMNS),
-                show.quantity(row["dt"], "s"),
-            ]
-        )
+        rows.append([row["method"], *_cells(row), show.quantity(row["dt"], "s")])
         for warning in row["warnings"]:
             warnings.setdefault(warning["message"], []).append(row["method"])
-            # nearly every damped contact attracts at its end: worth knowing, no reason to worry
-            kinds[warning["message"]] = "note" if warning["code"] == "attraction" else "warning"
+            kinds[warning["message"]] = show.kind_of(warning["code"])
     if reference:
         dt = next(r["dt_hertz"] for r in data["methods"] if "problem" not in r)
-        rows.append(
-            [
-                f"({data['law']})",
-                "",
-                "",
-                "",
-                *(show.quantity(reference[c], u) for c, u in COLUMNS[3:]),
-                show.quantity(dt, "s"),
-            ]
-        )
+        own = dict.fromkeys(name for name, _ in COLUMNS) | reference
+        rows.append([f"({data['law']})", *_cells(own), show.quantity(dt, "s")])
     show.table(title, columns, rows)
     valid = sum("problem" not in row for row in data["methods"])
     for message, methods in warnings.items():
@@ -184,11 +167,3 @@ def kn_print(name: str, data: dict[str, Any]) -> None:
     show.say(
         f"  the contact ends at zero {data['end']}; the paper's three methods are as reconstructed (docs/theory.md)\n"
     )
-
-
-def own_options(method: str, options: dict[str, Any]) -> dict[str, Any]:
-    """Return those of the options that a method takes."""
-    from kncal.physics.methods import METHODS
-
-    row = METHODS.find(method)
-    return {k: v for k, v in options.items() if k in (*row.required, *(row.optional or {}))}

@@ -52,6 +52,11 @@ def quantity(value: float | None, unit: str = "", digits: int = 4, *, width: flo
     return with_unit(value, unit, digits, width=width)
 
 
+def kind_of(code: str) -> str:
+    """Return what a warning of a calibration is called: a note if nearly every damped contact has it (attraction)."""
+    return "note" if code == "attraction" else "warning"
+
+
 def percent(share: float | None) -> str:
     """Return a share with its sign in percent."""
     from kncal.core.units import percent as in_percent

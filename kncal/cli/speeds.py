@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from kncal.physics.statistics import Interval
     from kncal.physics.uncertainty import Distribution, Propagation
     from kncal.runs.impact_speeds import RunSpeeds
+    from kncal.scene.scene import ContactChoice, Particle
+    from kncal.scene.species import Body
 
 FromRun = Annotated[
     Path | None,
@@ -112,41 +114,52 @@ def _width(estimate: Interval) -> str:
 
 def _spreads_of_run(run: RunSpeeds, uncertain: Sequence[str]) -> dict[str, Propagation]:
     """Propagate the measured speeds and what else is uncertain, for each kind of impacts."""
-    spreads = {}
+    from kncal.scene.species import species_of
+
+    spreads, species = {}, species_of(run.scene)
     for kind, found in run.speeds.items():
         if found.count:
             pair = run.pairs[kind]
-            spreads[kind] = propagate_pair(run.scene, pair.names, uncertain, found, e_n=pair.numbers.e_n)
+            bodies = species.bodies(species.pair_of(pair.names))
+            spreads[kind] = propagate_pair(run.scene.contact, bodies, uncertain, found, e_n=pair.numbers.e_n)
     return spreads
 
 
 def propagate_pair(
-    scene: Any,
-    names: tuple[str, str],
+    contact: ContactChoice,
+    bodies: tuple[Particle, Body],
     uncertain: Sequence[str],
     measured: ImpactSpeeds | None = None,
     *,
     e_n: float,
     v_0: float | None = None,
 ) -> Propagation:
-    """Propagate the uncertainty of the first body of a pair of a case; a second of the same material varies with it."""
+    """Propagate the uncertainty of the first of two bodies of a case; a second of the same material varies with it."""
+    from kncal.physics.material import pair, wall_pair
     from kncal.physics.uncertainty import propagate
 
-    material, radius, pair_of = _bodies(scene, names)
+    a, b = bodies
+    same, radius_2 = b.material == a.material, getattr(b, "radius", None)  # a wall has none
+
+    def meet(material: Material, radius: Any) -> Pair:
+        other = material if same else b.material
+        if radius_2 is None:
+            return wall_pair(material, radius, other)
+        return pair(material, radius, other, radius if same and radius_2 == a.radius else radius_2)
+
     given: dict[str, str | Distribution] = {} if measured is None else {"v_0": measured}
-    given |= texts(uncertain)
-    contact = scene.contact
+    options: dict[str, Any] = dict(contact.method_options)
     return propagate(
-        given,
-        material=material,
-        radius=radius,
+        given | texts(uncertain),
+        material=a.material,
+        radius=a.radius,
         v_0=v_0,
         e_n=e_n,
-        pair_of=pair_of,
+        pair_of=meet,
         law=contact.law,
         method=contact.method,
         end=contact.end,
-        **contact.method_options,
+        **options,
     )
 
 
@@ -161,33 +174,6 @@ def texts(uncertain: Sequence[str]) -> dict[str, str]:
             raise InputError(f"--uncertain {text}: {key} is given twice: expected one distribution")
         found[key] = value
     return found
-
-
-def _bodies(scene: Any, names: tuple[str, str]) -> tuple[Material, float, Callable[[Material, Any], Pair]]:
-    from kncal.physics.material import pair
-    from kncal.scene.bed_scene import BedScene
-    from kncal.scene.scene import Wall
-
-    if isinstance(scene, BedScene):
-        material, radius = scene.particles.material, 0.5 * scene.particles.diameter
-        wall = scene.column.wall_material
-        return material, radius, pair if names[0] == names[1] else _on_wall(material, wall)
-    a, b = next((a, b) for a, b in scene.body_pairs() if (a.name, b.name) == names)
-    if isinstance(b, Wall):
-        return a.material, a.radius, _on_wall(a.material, b.material)
-    same, other, radius_2 = b.material == a.material, b.material, b.radius
-    equal = same and b.radius == a.radius
-
-    def meet(material: Material, radius: Any) -> Pair:
-        return pair(material, radius, material if same else other, radius if equal else radius_2)
-
-    return a.material, a.radius, meet
-
-
-def _on_wall(material: Material, wall: Material | None) -> Callable[[Material, Any], Pair]:
-    from kncal.physics.material import wall_pair
-
-    return lambda sampled, radius: wall_pair(sampled, radius, sampled if wall == material else wall)
 
 
 def print_propagation(title: str, found: Propagation) -> None:

@@ -5,7 +5,7 @@ The limits are small named checks that say what they saw; they never change a nu
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any
 
@@ -258,6 +258,27 @@ def calibrate(
         **_physical(linear, time, speed, shape),
     )
     return replace(found, warnings=tuple(_limits(found, linear)))
+
+
+def calibrate_all(
+    pair: Pair, *, v_0: float, e_n: float, law: str = "tsuji", end: str = "overlap", options: Mapping[str, Any]
+) -> dict[str, Calibration | ValidityError]:
+    """Calibrate by every method whose required options are among ``options`` (those of any method).
+
+    Returns
+    -------
+    dict
+        Method -> its calibration, or why it has no valid result.
+    """
+    found: dict[str, Calibration | ValidityError] = {}
+    for name, method in METHODS.items():
+        own = method.own(options)
+        if all(option in own for option in method.required):
+            try:
+                found[name] = calibrate(pair, v_0=v_0, e_n=e_n, law=law, method=name, end=end, **own)
+            except ValidityError as error:
+                found[name] = error
+    return found
 
 
 def reference_stiffness(pair: Pair, v_0: FloatOrArray, law: ContactLaw) -> FloatOrArray:

@@ -77,6 +77,10 @@ class Method:
     required: tuple[str, ...] = ()
     optional: Mapping[str, Any] | None = None
 
+    def own(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Return those of the options that this method takes."""
+        return {name: value for name, value in given.items() if name in (*self.required, *(self.optional or {}))}
+
     def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Return the complete options, checked; raise `InputError` for unknown, missing or bad ones."""
         optional = dict(self.optional or {})

@@ -10,10 +10,9 @@ import numpy as np
 
 from kncal.core.checks import Array
 from kncal.core.errors import ValidityError
-from kncal.physics.calibration import calibrate
+from kncal.physics.calibration import calibrate, calibrate_all
 from kncal.physics.laws import LAWS
 from kncal.physics.material import Pair
-from kncal.physics.methods import METHODS
 from kncal.physics.timestep import predict_error
 from kncal.scene.model import Model
 from kncal.scene.needs import decide
@@ -66,20 +65,12 @@ def method_table(
     """
     import pandas as pd
 
-    given = dict(options or {})
     frames = []
-    for method in METHODS.values():
-        own = {k: v for k, v in given.items() if k in (*method.required, *(method.optional or {}))}
-        if any(name not in own for name in method.required):
-            continue
-        try:
-            result = calibrate(pair, v_0=v_0, e_n=e_n, law=law, method=method.name, end=end, **own)
-        except ValidityError as error:
-            frames.append(pd.DataFrame({"method": [method.name], "warnings": [str(error)]}))
-            continue
-        frame = result.to_frame()
-        frame["warnings"] = "; ".join(str(w) for w in result.warnings)
-        frames.append(frame)
+    for name, result in calibrate_all(pair, v_0=v_0, e_n=e_n, law=law, end=end, options=options or {}).items():
+        if isinstance(result, ValidityError):
+            frames.append(pd.DataFrame({"method": [name], "warnings": [str(result)]}))
+        else:
+            frames.append(result.to_frame().assign(warnings="; ".join(str(w) for w in result.warnings)))
     return pd.concat(frames, ignore_index=True)
 
 
