@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kncal.core.errors import InputError, ReadError
@@ -26,6 +26,7 @@ JSON = st.recursive(
 )
 
 
+@settings(max_examples=50)  # each waits for the disk
 @given(JSON)
 def test_round_trip(tmp_path_factory: pytest.TempPathFactory, data: object) -> None:
     path = tmp_path_factory.mktemp("json") / "a.json"

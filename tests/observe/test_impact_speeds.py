@@ -54,6 +54,7 @@ def gas(seed: int, couplings: int = 600, rate: float = 20.0, memory: float = 0.0
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("memory", [0.0, 8.0])
 def test_intervals_cover_the_truth(memory: float) -> None:
     """Of 60 runs at least 50: fewer happens once in 10 000 times with 95 %, and once in 40 with 90 %."""

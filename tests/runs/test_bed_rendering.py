@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -89,12 +90,14 @@ def test_a_rendered_bed_runs_by_hand(capsys, tmp_path):
 @pytest.mark.solver
 def test_rendered_input_is_what_a_run_runs_and_a_folder_may_have_spaces(tmp_path):
     """Same deck, same dictionaries; and to the last bit the same numbers in a folder that OpenFOAM refuses by name."""
-    render_case(small(), Coupled(), tmp_path / "decks", ("linear",))
+    scene = small()
+    few = replace(scene, run=replace(scene.run, end_time=0.002, frames_every=0.001))
+    render_case(few, Coupled(), tmp_path / "decks", ("linear",))
     transports = ("restart",) if find() is None else ("restart", "live")
     series = []
     for transport in transports:
         for name in (f"plain-{transport}", f"it's a {transport} run"):
-            results = run_case(small(), Coupled(transport), tmp_path / name, ("linear",))
+            results = run_case(few, Coupled(transport), tmp_path / name, ("linear",))
             assert [r.status for r in results.values()] == ["completed"], results
             series.append(read_series(tmp_path / name / "linear" / "series"))
             one, two = tmp_path / "decks" / "linear", tmp_path / name / "linear"
@@ -249,6 +252,7 @@ with show.working("measuring") as now:
 """
 
 
+@pytest.mark.slow
 def test_without_a_terminal_progress_is_a_line_a_minute():
     """The minute is 0.4 s here. Each job takes 0.6 to 0.9 s: one line or two of each, on standard error."""
     done = subprocess.run([sys.executable, "-c", _SLOW], capture_output=True, text=True, check=True)

@@ -203,7 +203,7 @@ def scenes(draw: st.DrawFn) -> Scene:
     )
 
 
-@settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow])
 @given(scene=scenes())
 def test_dumped_scene_loads_back_equal(scene: Scene) -> None:
     assert parse_case(dump_case(scene), name=scene.name) == scene

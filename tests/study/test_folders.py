@@ -47,6 +47,7 @@ def test_commands_leave_a_case_folder_alone(tmp_path: Path, command: list[str]) 
     assert (tmp_path / "case.toml").read_text() == "mine"
 
 
+@pytest.mark.slow
 def test_a_measured_speed_is_found_again(tmp_path: Path) -> None:
     case = tmp_path / "fall.toml"
     case.write_text(CASE.read_text())

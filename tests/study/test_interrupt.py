@@ -43,7 +43,7 @@ def start(case: Path, out: Path, engine: str) -> subprocess.Popen[str]:
 @pytest.mark.parametrize(
     ("engine", "number"),
     [
-        ("builtin", signal.SIGINT),
+        pytest.param("builtin", signal.SIGINT, marks=pytest.mark.slow),
         pytest.param("liggghts", signal.SIGINT, marks=pytest.mark.solver),
         pytest.param("liggghts", signal.SIGTERM, marks=pytest.mark.solver),
     ],

@@ -38,6 +38,7 @@ def meshes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     return {suffix: good(folder, suffix) for suffix in _SUFFIXES}
 
 
+@pytest.mark.slow
 @fuzzed(share=0.005, short=6)
 @given(data=st.data(), suffix=st.sampled_from(_SUFFIXES))
 def test_meshes(
