@@ -14,7 +14,7 @@ from kncal.cli.flags import CaseFlags, EngineFlags, Json, Timeout, Workers, seve
 
 if TYPE_CHECKING:
     from kncal.study.runs import OnStudyProgress
-    from kncal.study.trim.base import Trim
+    from kncal.study.trim.trim import Trim
 
 
 def trim(
@@ -52,8 +52,8 @@ def trim(
     from kncal.scene.bed_scene import BedScene
     from kncal.scene.metrics import COUPLED, FEW_PARTICLES
     from kncal.study.trim.report import write_trim
-    from kncal.study.trim.workflow import TrimOptions
-    from kncal.study.trim.workflow import trim as run_trim
+    from kncal.study.trim.run import TrimOptions
+    from kncal.study.trim.run import trim as run_trim
 
     at, by = at or CaseFlags(), by or EngineFlags()
     scene, folder = at.load(case, "trim")
@@ -100,14 +100,17 @@ def _told() -> Iterator[OnStudyProgress]:
 
 
 def _print(found: Trim) -> None:
-    from kncal.study.trim.base import DOES_NOT_APPLY
     from kncal.study.trim.report import part_table
+    from kncal.study.trim.trim import DOES_NOT_APPLY
 
     parts = part_table(found)
     title = f"{found.case}, {found.model}: parts of the physics"
     show.table(title, parts.headings, parts.rows, text=parts.text)
+    show.say(found.verdict.sentence)
+    for point in found.verdict.points:
+        show.say(f"- {point}")
     for result in found.results:
         if result.verdict != DOES_NOT_APPLY:
             show.say(f"  {result.sentence}")
-    for text in found.sentences:
+    for text in found.verdict.details:
         show.say(text)

@@ -143,6 +143,11 @@ def difference_text(row: Row) -> str:
     return f"{plus_minus(100.0 * value, 100.0 * width, signed=row.basis != RMS)} %"
 
 
+def deciding_text(row: Row) -> str:
+    """Return a difference with the width that decides, see `kncal.observe.estimate.Estimate.deciding`."""
+    return difference_text(replace(row, difference=replace(row.difference, width=row.difference.deciding)))
+
+
 def allowed(tolerance: float | None) -> str:
     """Return a tolerance as text: "±5 %"."""
     return f"±{100.0 * (tolerance or 0.0):.3g} %"

@@ -31,7 +31,7 @@ class Verdict:
     ----------
     state : "within", "outside", "undecided", or "open" if nothing is judged
     sentence : the judgement
-    points : what is saved, the largest difference that nobody judged, and what is worst; at most three
+    points : what matters most beside it, such as what is saved; few (`MOST_POINTS`)
     details : all else that is to be known
     """
 
@@ -39,6 +39,12 @@ class Verdict:
     sentence: str
     points: tuple[str, ...]
     details: tuple[str, ...]
+
+    @classmethod
+    def of(cls, state: str, sentences: Sequence[str], points: int = MOST_POINTS) -> Verdict:
+        """Return a verdict: the first sentence is the judgement, ``points`` more are points, the rest details."""
+        first, *rest = sentences
+        return cls(state=state, sentence=first, points=tuple(rest[:points]), details=tuple(rest[points:]))
 
     @property
     def all(self) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from kncal.physics.methods import METHODS
 from kncal.record.series import write_series_csv
 from kncal.report.figures import draw_bed, draw_calibration, draw_contacts
 from kncal.report.overview import Context
-from kncal.report.page import Page, Section, Table, Verdict, report_folder, write_page
+from kncal.report.page import Page, Section, Table, report_folder, write_page
 from kncal.report.rows import Rows, table_of
 from kncal.report.settings import bed_conventions, bed_settings, contact_end
 from kncal.report.speeds import speeds_section
@@ -112,7 +112,7 @@ def write_report(
         title=scene.title,
         subject="linear spring against Hertz",
         about=f"Case {scene.name}: linear spring–dashpot contact against a Hertz-type contact.{source}",
-        verdict=Verdict(state=said.state, sentence=said.sentence, points=said.points, more=said.details),
+        verdict=said,
         sections=middle,
         provenance=provenance,
         files=("comparison.json", *tables, *series),

@@ -15,6 +15,7 @@ from kncal.core.errors import RenderError
 from kncal.core.files import write_text
 from kncal.core.scratch import drawn_aside
 from kncal.core.templating import Page as Template
+from kncal.observe.verdict import Verdict
 
 _SUPERSCRIPT = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -86,25 +87,6 @@ class Section:
         table = self.table if self.table is not None and self.table.rows else None
         shown = (self.text, table, self.notes, self.points, self.figures, self.code, self.entries, parts)
         return replace(self, table=table, parts=parts) if any(shown) else None
-
-
-@dataclass(frozen=True, kw_only=True)
-class Verdict:
-    """The box at the top: one sentence, a few points, and more behind a click.
-
-    ``state``: "within", "outside", "undecided", or "open" where nothing was judged.
-    """
-
-    state: str
-    sentence: str
-    points: tuple[str, ...] = ()
-    more: tuple[str, ...] = ()
-
-
-def verdict(state: str, sentences: Sequence[str], points: int = 3) -> Verdict:
-    """Return the box for ``sentences``: the first is the verdict, after ``points`` more the rest is folded."""
-    first, *rest = sentences
-    return Verdict(state=state, sentence=first, points=tuple(rest[:points]), more=tuple(rest[points:]))
 
 
 @dataclass(frozen=True, kw_only=True)

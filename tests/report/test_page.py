@@ -10,10 +10,11 @@ from pathlib import Path
 import pytest
 
 from kncal.core.errors import RenderError
-from kncal.report.page import Figure, Page, Section, Table, marks, report_folder, verdict, write_page
+from kncal.observe.verdict import Verdict
+from kncal.report.page import Figure, Page, Section, Table, marks, report_folder, write_page
 
 HOSTILE = '<img src=x onerror="alert(1)"></script><script>alert(2)</script>'
-BARE = Page(case="c", title="", subject="s", about="a", verdict=verdict("open", ("nothing",)), sections=())
+BARE = Page(case="c", title="", subject="s", about="a", verdict=Verdict.of("open", ("nothing",)), sections=())
 
 
 class Seen(HTMLParser):
@@ -53,7 +54,7 @@ def everything(text: str) -> Page:
         title=text,
         subject=text,
         about=text,
-        verdict=verdict("within", (text,) * 6),
+        verdict=Verdict.of("within", (text,) * 6),
         sections=(section,),
         provenance={text: {text: [text]}},
         files=(text,),
@@ -84,10 +85,10 @@ def test_what_is_empty_is_left_out(tmp_path):
 
 def test_a_verdict_is_a_sentence_and_a_few_points_the_rest_is_folded(tmp_path):
     sentences = [f"sentence {k}" for k in range(7)]
-    box = verdict("outside", sentences)
-    assert (box.sentence, *box.points, *box.more) == tuple(sentences)
+    box = Verdict.of("outside", sentences)
+    assert (box.sentence, *box.points, *box.details) == tuple(sentences)
     assert len(box.points) == 3
-    assert len(verdict("outside", sentences, points=5).points) == 5
+    assert len(Verdict.of("outside", sentences, points=5).points) == 5
     text = write_page(replace(BARE, verdict=box), tmp_path).read_text("utf-8")
     assert text.index("sentence 3") < text.index("<summary>more</summary>") < text.index("sentence 4")
 

@@ -13,9 +13,9 @@ from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import dump_case, load_case, load_scene, shipped_cases
 from kncal.scene.needs import decide
 from kncal.study import Variant, run_variants
-from kncal.study.trim.base import ON, Trim
-from kncal.study.trim.effect import resolution_of
-from kncal.study.trim.workflow import TrimOptions, trim
+from kncal.study.trim.effects import resolution_of
+from kncal.study.trim.run import TrimOptions, trim
+from kncal.study.trim.trim import ON, Trim
 from kncal.study.variants import changes_of
 
 pytestmark = pytest.mark.slow
@@ -41,7 +41,7 @@ def test_friction_that_the_rules_leave_out_has_no_effect_and_what_they_keep_has_
     assert result.verdict == ("keep" if needed else "not needed")
     if not needed:
         # no surface slides: not even the last bit may differ
-        assert {e.verdict for e in result.effects if e.change is not None} == {"none"}
+        assert {e.difference.value for e in result.effects if e.difference.value is not None} == {0.0}
         assert len(result.effects) > 2
 
 
@@ -74,7 +74,7 @@ def test_a_wall_that_the_rules_call_out_of_reach_can_be_taken_away(tmp_path: Pat
     found = trimmed(path, tmp_path / "out", "walls")
     (result,) = found.results
     assert result.verdict == "leave out"
-    assert {e.verdict for e in result.effects if e.change is not None} == {"none"}
+    assert {e.difference.value for e in result.effects if e.difference.value is not None} == {0.0}
     assert [wall.name for wall in found.trimmed.walls] == ["floor"]  # type: ignore[union-attr]
 
 
@@ -96,7 +96,7 @@ def test_liggghts_feels_neither_friction_nor_rolling_friction_in_a_head_on_conta
     found = trimmed(case, tmp_path, "tangential", "rolling", engine="liggghts", overrides=rough)
     assert [r.verdict for r in found.results] == ["not needed", "not needed"]
     for result in found.results:
-        assert {e.verdict for e in result.effects if e.change is not None} == {"none"}
+        assert {e.difference.value for e in result.effects if e.difference.value is not None} == {0.0}
 
 
 @pytest.mark.solver

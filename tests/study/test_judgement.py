@@ -10,10 +10,11 @@ from compared_beds import MEANS, run_data
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kncal.observe.run_data import observed
-from kncal.study.trim.base import OFF, ON, OTHER, CostChange, Effect, Part, worst_of
-from kncal.study.trim.effect import bed_effects
+from kncal.observe.estimate import Estimate
+from kncal.observe.row import Row
+from kncal.study.trim.effects import effects
 from kncal.study.trim.judgement import cost_text, describe, judge_part
+from kncal.study.trim.trim import OFF, ON, OTHER, CostChange, Part, worst_of
 
 COST = CostChange(
     cpu=0.24,
@@ -33,21 +34,31 @@ def part(change: str = OFF, **values: Any) -> Part:
     return Part(name="rolling", group="rolling", text="rolling friction", change=change, tried="without it", **values)
 
 
-def effect(metric: str, verdict: str, change: float | None = 0.01, **values: Any) -> Effect:
-    first: dict[str, Any] = {
-        "unit": "–",
-        "full": 1.0,
-        "tried": 1.01,
-        "uncertainty": 0.001,
-        "basis": "",
-        "tolerance": 0.05,
-        "significant": None,
-    }
-    return Effect(metric=metric, verdict=verdict, change=change, **(first | values))
+def effect(
+    metric: str,
+    verdict: str,
+    change: float | None = 0.01,
+    width: float | None = 0.001,
+    *,
+    tried: float | None = 1.01,
+    full: float | None = 1.0,
+    needed_end: float | None = None,
+    **values: Any,
+) -> Row:
+    return Row(
+        metric=metric,
+        unit="–",
+        text="",
+        run=Estimate(value=tried),
+        reference=Estimate(value=full),
+        difference=Estimate(value=change, width=width, needed_end=needed_end),
+        verdict=verdict,
+        **({"tolerance": 0.05} | values),
+    )
 
 
 def test_the_verdict_and_its_words_follow_what_was_tried() -> None:
-    free, moved = (effect("e_n", "within"),), (effect("e_n", "within"), effect("t_c", "changed", 0.12))
+    free, moved = (effect("e_n", "ok"),), (effect("e_n", "ok"), effect("t_c", "outside", 0.12))
     for change, without, with_effect in (
         (OFF, "leave out", "keep"),
         (ON, "not needed", "matters"),
@@ -64,7 +75,7 @@ def test_the_verdict_and_its_words_follow_what_was_tried() -> None:
 
 def test_what_saves_time_is_kept_though_it_has_no_effect() -> None:
     """Leaving out front and back walls for a periodic depth may cost more than it saves."""
-    free = (effect("e_n", "within"),)
+    free = (effect("e_n", "ok"),)
     saving = replace(COST, cpu=-0.16, cpu_low=-0.2, cpu_high=-0.1)
     assert judge_part(part(), free, saving).verdict == "keep"
     assert judge_part(part(), free, replace(saving, cpu_high=0.01)).verdict == "leave out"  # not for certain
@@ -72,31 +83,31 @@ def test_what_saves_time_is_kept_though_it_has_no_effect() -> None:
 
 
 def test_one_undecided_metric_leaves_the_part_undecided_unless_another_changes() -> None:
-    open_ = effect("z_95", "undecided", needed_end_time=3.0)
-    found = judge_part(part(), (effect("e_n", "within"), open_), COST)
+    open_ = effect("z_95", "undecided", needed_end=3.0)
+    found = judge_part(part(), (effect("e_n", "ok"), open_), COST)
     assert found.verdict == "undecided"
     assert "3 s" in found.sentence and "run.end_time" in found.sentence
-    assert judge_part(part(), (open_, effect("t_c", "changed")), COST).verdict == "keep"
+    assert judge_part(part(), (open_, effect("t_c", "outside")), COST).verdict == "keep"
 
 
 def test_a_metric_that_is_gone_without_the_part_keeps_it() -> None:
-    gone = effect("pressure_drop", "changed", None, tried=None, uncertainty=None, reason="no gas")
+    gone = effect("pressure_drop", "outside", None, tried=None, width=None, reason="no gas")
     sentence = judge_part(part(), (gone,), COST).sentence
     assert "pressure_drop" in sentence and "no gas" in sentence
 
 
 def test_unjudged_changes_are_told() -> None:
-    aside = effect("spin_out", "-", 0.5, tolerance=None, significant=True)
-    outcome, text = describe((effect("e_n", "within"), aside))
+    aside = effect("spin_out", "-", 0.5, tolerance=None)
+    outcome, text = describe((effect("e_n", "ok"), aside))
     assert outcome == "free"
     assert "spin_out +50.00 ± 0.10 %" in text
     assert describe((aside,))[0] == "undecided"  # nothing was judged
 
 
 def test_no_effect_at_all_needs_no_tolerance() -> None:
-    same = effect("e_n", "none", 0.0, uncertainty=0.0, tolerance=None, significant=False)
+    same = effect("e_n", "ok", 0.0, 0.0, tolerance=None)
     assert describe((same, same))[0] == "free"
-    nothing = effect("slip", "-", None, full=None, tried=None, uncertainty=None, tolerance=None)
+    nothing = effect("slip", "-", None, full=None, tried=None, width=None, tolerance=None)
     assert describe((nothing,))[0] == "undecided"  # nothing could be compared: that is no equality
 
 
@@ -107,8 +118,8 @@ def test_where_cpu_times_say_nothing_the_steps_are_told() -> None:
 
 
 def test_the_deciding_effect_is_the_changed_one_even_if_another_is_less_certain() -> None:
-    vague = effect("z_95", "undecided", 0.02, uncertainty=5.0)
-    clear = effect("e_n", "changed", 0.06)
+    vague = effect("z_95", "undecided", 0.02, width=5.0)
+    clear = effect("e_n", "outside", 0.06)
     assert worst_of((vague, clear)) is clear
 
 
@@ -117,34 +128,37 @@ def test_the_deciding_effect_is_the_changed_one_even_if_another_is_less_certain(
 TOLERANCES = {"z_mean": 0.05, "pressure_drop": 0.05}
 
 
+def by_metric(*given: Any, **options: Any) -> dict[str, Row]:
+    return {row.metric: row for row in effects(*given, **options)}
+
+
 def test_a_bed_against_itself_has_no_effect_whatever_its_length() -> None:
-    bed = observed(run_data("linear", 1))
-    effects = bed_effects(bed, bed, TOLERANCES | {"velocity": 0.1}, {})
-    assert {e.verdict for e in effects if e.tolerance is not None} == {"none"}
-    assert describe(effects)[0] == "free"
+    bed = run_data("linear", 1)
+    rows = effects(bed, bed, TOLERANCES | {"velocity": 0.1})
+    assert {(row.verdict, row.difference.value) for row in rows if row.tolerance is not None} == {("ok", 0.0)}
+    assert describe(rows)[0] == "free"
 
 
 def test_known_differences_between_beds_are_found_and_equal_means_are_not_called_different() -> None:
-    full = observed(run_data("linear", 1))
-    higher = observed(run_data("linear", 2, means=MEANS | {"z_mean": 1.3 * MEANS["z_mean"]}))
-    found = {e.metric: e for e in bed_effects(higher, full, TOLERANCES, {})}
-    assert found["z_mean"].verdict == "changed"
-    assert found["z_mean"].change == pytest.approx(0.3, abs=2.0 * (found["z_mean"].uncertainty or 0.0))
-    assert found["pressure_drop"].verdict in ("within", "undecided")
-    other = {e.metric: e for e in bed_effects(observed(run_data("linear", 3)), full, TOLERANCES, {})}
-    assert "changed" not in {other[name].verdict for name in TOLERANCES}
+    full = run_data("linear", 1)
+    higher = run_data("linear", 2, means=MEANS | {"z_mean": 1.3 * MEANS["z_mean"]})
+    found = by_metric(higher, full, TOLERANCES)
+    assert found["z_mean"].verdict == "outside"
+    assert found["z_mean"].difference.value == pytest.approx(0.3, abs=2.0 * found["z_mean"].difference.deciding)
+    assert found["pressure_drop"].verdict in ("ok", "undecided")
+    other = by_metric(run_data("linear", 3), full, TOLERANCES)
+    assert "outside" not in {other[name].verdict for name in TOLERANCES}
 
 
 def test_without_a_tolerance_a_difference_that_is_not_seen_in_a_bed_decides_nothing() -> None:
-    full, other = observed(run_data("linear", 1)), observed(run_data("linear", 3))
-    effects = bed_effects(other, full, {}, {})
-    assert describe(effects)[0] != "free"
+    full, other = run_data("linear", 1), run_data("linear", 3)
+    assert describe(effects(other, full, {}))[0] != "free"
 
 
 def test_what_cannot_be_compared_is_said() -> None:
-    full, other = observed(run_data("linear", 1)), observed(run_data("linear", 3))
-    found = {e.metric: e for e in bed_effects(other, full, {"contacts": 0.1}, {"contacts": "goes with the depth"})}
-    assert (found["contacts"].verdict, found["contacts"].change) == ("undecided", None)
+    full, other = run_data("linear", 1), run_data("linear", 3)
+    found = by_metric(other, full, {"contacts": 0.1}, lost={"contacts": "goes with the depth"})
+    assert (found["contacts"].verdict, found["contacts"].difference.value) == ("undecided", None)
     assert found["contacts"].reason == "goes with the depth"
 
 
@@ -153,19 +167,16 @@ def test_what_cannot_be_compared_is_said() -> None:
     width=st.floats(0.0, 1.0),
     tolerance=st.floats(1e-6, 1.0),
 )
-def test_within_means_the_whole_interval_and_changed_none_of_it(change: float, width: float, tolerance: float) -> None:
-    from kncal.observe.estimate import Estimate
-    from kncal.observe.row import Row
-    from kncal.study.trim.effect import _contact_effect
+def test_ok_means_the_whole_interval_and_outside_none_of_it(change: float, width: float, tolerance: float) -> None:
+    from kncal.study.trim.effects import _resolved
 
-    one, moved = Estimate(value=1.0), Estimate(value=change)
-    row = Row(metric="e_n", unit="–", text="", run=one, reference=one, difference=moved, scale=1.0)
-    found = _contact_effect(row, width, {"e_n": tolerance})
+    row = effect("e_n", "-", change, None, tolerance=tolerance)
+    found = _resolved(row, {"e_n": width}, recorded=False)
     low, high = abs(change) - width, abs(change) + width
     slack = 1e-11  # rounding counts as uncertainty
-    if found.verdict == "within":
+    if found.verdict == "ok":
         assert high <= tolerance + slack
-    elif found.verdict == "changed":
+    elif found.verdict == "outside":
         assert low >= tolerance - slack
     else:
         assert low <= tolerance + slack

@@ -12,8 +12,8 @@ from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import dump_case, load_case, shipped_cases
 from kncal.scene.plan import plan
 from kncal.scene.scene import Scene
-from kncal.study.trim.base import OFF, ON, OTHER, Part
-from kncal.study.trim.parts import GROUPS, parts_of
+from kncal.study.trim.parts import PARTS, parts_of
+from kncal.study.trim.trim import OFF, ON, OTHER, Part
 from kncal.study.variants import texts
 
 
@@ -32,7 +32,7 @@ def everything(name: str) -> Scene | BedScene:
 def test_every_part_that_applies_gives_another_scene_that_can_be_planned(name: str, tmp_path: Path) -> None:
     scene = everything(name)
     for part in parts_of(scene, "linear"):
-        assert part.group in GROUPS
+        assert part.group in PARTS
         if part.why_not:
             assert not part.changes
             continue

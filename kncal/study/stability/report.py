@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from kncal.core.files import write_csv, write_json
 from kncal.core.units import percent, quantity
-from kncal.report.page import Figure, Page, Section, Table, report_folder, verdict, write_page
+from kncal.observe.verdict import Verdict
+from kncal.report.page import Figure, Page, Section, Table, report_folder, write_page
 from kncal.report.style import STYLES, Album, bare, dress, model_name, new_axes
 from kncal.study.stability.edges import RESOLUTION
 from kncal.study.stability.maps import Cell
@@ -62,7 +63,7 @@ def write_stability(found: Stability, folder: Path) -> Path:
         subject="where it stops to be stable",
         about=f"Probes made from the case's materials and contact, at v_0 = {quantity(given.v_0, 'm/s')};"
         f" run by {' and '.join(found.engines)}.",
-        verdict=verdict("outside" if "UNSAFE" in sentences[0] else "within", sentences),
+        verdict=Verdict.of("outside" if "UNSAFE" in sentences[0] else "within", sentences),
         sections=(
             Section(title="Edges in the time step", table=edge_table(found), remark=_EDGES),
             Section(title="Steps for a correct restitution", table=accuracy_table(found), remark=_ACCURACY),

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import is_dataclass, replace
+from dataclasses import is_dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from kncal.core.units import quantity
 from kncal.observe.estimate import Estimate
-from kncal.observe.row import Row, allowed, difference_text, needed_end
+from kncal.observe.row import Row, allowed, deciding_text, needed_end
 from kncal.observe.verdict import Verdict
 from kncal.study.trade.cost_law import Law
 from kncal.study.trade.front import Conclusion, SpeedUp, Turn, changed, cost, failing, verdict, worst_ratio
@@ -53,15 +53,15 @@ def answer(trade: Trade, conclusion: Conclusion, laws: Sequence[Law]) -> Verdict
     """Return the answer: one sentence, at most `MOST_POINTS` points, and what it rests on as details."""
     chosen = conclusion.chosen
     state = "within" if chosen else "undecided" if conclusion.promising else "outside"
-    points = [*_nearly(trade, conclusion), *_changed(trade, conclusion)]
-    points += [*map(_saving, conclusion.speed_ups), *_turns(conclusion.turns)]
-    details = [*points[MOST_POINTS:], *(text for law in laws for text in law.sentences), *trade.caveats]
-    return Verdict(
-        state=state,
-        sentence=_choice(trade, conclusion),
-        points=tuple(points[:MOST_POINTS]),
-        details=tuple(details),
-    )
+    sentences = [
+        _choice(trade, conclusion),
+        *_nearly(trade, conclusion),
+        *_changed(trade, conclusion),
+        *map(_saving, conclusion.speed_ups),
+        *_turns(conclusion.turns),
+    ]
+    points = min(len(sentences) - 1, MOST_POINTS)
+    return Verdict.of(state, [*sentences, *(t for law in laws for t in law.sentences), *trade.caveats], points)
 
 
 def _choice(trade: Trade, conclusion: Conclusion) -> str:
@@ -91,12 +91,7 @@ def _nearly(trade: Trade, conclusion: Conclusion) -> Iterator[str]:
 
 
 def _there(point: TradePoint) -> str:
-    return ", ".join(f"{row.metric} {error_text(row)} ({allowed(row.tolerance)} allowed)" for row in failing(point))
-
-
-def error_text(row: Row) -> str:
-    """Return an error with the uncertainty that decides, in percent; "–" if it could not be computed."""
-    return difference_text(replace(row, difference=replace(row.difference, width=row.difference.deciding)))
+    return ", ".join(f"{row.metric} {deciding_text(row)} ({allowed(row.tolerance)} allowed)" for row in failing(point))
 
 
 def needed_end_time(point: TradePoint) -> float | None:

@@ -12,9 +12,10 @@ import numpy as np
 from kncal import __version__
 from kncal.core.units import percent, plus_minus, quantity, si_prefix
 from kncal.observe.estimate import Estimate
-from kncal.report.page import Page, Section, Table, Verdict, report_folder, write_page
+from kncal.observe.row import deciding_text
+from kncal.report.page import Page, Section, Table, report_folder, write_page
 from kncal.report.style import model_name
-from kncal.study.trade.answer import answer, contact_text, describe, error_text, shown_factor
+from kncal.study.trade.answer import answer, contact_text, describe, shown_factor
 from kncal.study.trade.cost_law import Law
 from kncal.study.trade.figures import draw_trade_figures
 from kncal.study.trade.front import Conclusion, changed, cost, reach, worst_ratio
@@ -62,7 +63,7 @@ def write_trade_report(trade: Trade, conclusion: Conclusion, laws: Sequence[Law]
     """
     with report_folder(folder) as drawn:
         figures = draw_trade_figures(trade, conclusion, laws, drawn)
-    near, said = shown_points(trade, conclusion), answer(trade, conclusion, laws)
+    near = shown_points(trade, conclusion)
     lost = tuple(f"{p.candidate.name}: {p.status}: {p.message}" for p in trade.points if not p.completed)
     about = "what a softer or coarser contact saves, and what it costs in accuracy"
     page = Page(
@@ -70,7 +71,7 @@ def write_trade_report(trade: Trade, conclusion: Conclusion, laws: Sequence[Law]
         title=trade.title,
         subject="speed for accuracy",
         about=f"Case {trade.case}: {about}. Reference: {describe(trade.reference.candidate)}.",
-        verdict=Verdict(state=said.state, sentence=said.sentence, points=said.points, more=said.details),
+        verdict=answer(trade, conclusion, laws),
         sections=(
             Section(title="Cost against error", figures=figures),
             Section(
@@ -136,7 +137,7 @@ def point_table(trade: Trade, conclusion: Conclusion, points: Sequence[TradePoin
                 f"{c.steps_per_contact:g}",
                 quantity(point.steps, ""),
                 _cpu(point),
-                *(error_text(point.errors[metric]) if metric in point.errors else "–" for metric in metrics),
+                *(deciding_text(point.errors[metric]) if metric in point.errors else "–" for metric in metrics),
                 "" if ratio == math.inf else f"{ratio:.3g}",
                 ", ".join(sign.name for sign in changed(trade, point)),
                 _verdict(trade, conclusion, point),
@@ -158,7 +159,7 @@ def brief_table(trade: Trade, conclusion: Conclusion, points: Sequence[TradePoin
                 quantity(point.k_n, "N/m", 3),
                 f"{point.candidate.steps_per_contact:g}",
                 quantity(cost(trade, point), unit, 3 if unit else 4),
-                "" if worst is None else error_text(point.errors[worst]),
+                "" if worst is None else deciding_text(point.errors[worst]),
                 worst or "",
                 _verdict(trade, conclusion, point),
             )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from kncal.report.page import Figure
 from kncal.report.style import Album, new_axes
-from kncal.study.trim.base import EITHER, KEEP, LEAVE_OUT, MATTERS, NOT_NEEDED, UNDECIDED, PartResult, Trim
+from kncal.study.trim.trim import EITHER, KEEP, LEAVE_OUT, MATTERS, NOT_NEEDED, UNDECIDED, PartResult, Trim, share
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -80,26 +80,27 @@ def _effect(results: Sequence[PartResult], *, judged: bool) -> Axes:
     largest = 1.0
     for row, result in enumerate(results):
         worst = result.worst
-        share = None if worst is None else worst.share
-        if worst is None or share is None or worst.verdict == "none":
-            gone = any(e.verdict == "changed" for e in result.effects)
-            text = "a metric is gone" if gone else "no change at all" if worst is not None else "not known"
+        used = None if worst is None else share(worst)
+        if worst is None or used is None or worst.difference.value == 0.0:
+            gone = any(row.verdict == "outside" for row in result.effects)
+            equal = all(not row.difference.value for row in result.effects if row.seen)
+            text = "a metric is gone" if gone else "no change at all" if equal else "not known"
             ax.text(1.15 * _SMALLEST, row, text, va="center", fontsize=9, color="#5a6470")
             continue
-        size, width = max(share[0], _SMALLEST), share[1]
+        size, width = max(used[0], _SMALLEST), used[1]
         ax.barh(row, size - _SMALLEST, left=_SMALLEST, height=0.6, color=_COLOURS[result.verdict])
         if width > 0.0:
-            ends = [max(share[0] - width, _SMALLEST), max(share[0] + width, _SMALLEST)]
+            ends = [max(used[0] - width, _SMALLEST), max(used[0] + width, _SMALLEST)]
             ax.plot(ends, [row, row], color="black", linewidth=1.4)
         ax.annotate(
             worst.metric,
-            (max(size, share[0] + width), row),
+            (max(size, used[0] + width), row),
             (4, 0),
             textcoords="offset points",
             va="center",
             fontsize=9,
         )
-        largest = max(largest, share[0] + width)
+        largest = max(largest, used[0] + width)
     ax.set_xlim(_SMALLEST, 30.0 * largest)
     ax.axvline(1.0, color="black", linewidth=1.0, linestyle=(0, (5, 2)))
     ax.set_xlabel("largest effect over its " + ("tolerance" if judged else "uncertainty"))

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from kncal.core.units import plus_minus, quantity
-from kncal.study.trim.base import (
+from kncal.core.units import percent, quantity
+from kncal.observe.row import Row, allowed, deciding_text, needed_end
+from kncal.study.trim.trim import (
     CANNOT_RUN,
     EITHER,
     KEEP,
@@ -14,11 +15,12 @@ from kncal.study.trim.base import (
     NOT_NEEDED,
     OFF,
     ON,
+    OTHER,
     UNDECIDED,
     CostChange,
-    Effect,
     Part,
     PartResult,
+    share,
     worst_of,
 )
 
@@ -26,33 +28,29 @@ from kncal.study.trim.base import (
 _WORTH, _USUAL_SPREAD = 0.02, 0.1
 #: Metrics that are named in a sentence.
 _NAMED = 3
-#: Without effect: verdict by `Part.change`.
-_FREE = {OFF: LEAVE_OUT, ON: NOT_NEEDED}
-_CONSEQUENCE = {
+#: Verdict without an effect, and with one, by `Part.change`.
+_VERDICTS = {OFF: (LEAVE_OUT, KEEP), ON: (NOT_NEEDED, MATTERS), OTHER: (EITHER, MATTERS)}
+_SAID = {
     LEAVE_OUT: "leave it out",
-    NOT_NEEDED: "it is not needed",
+    KEEP: "keep it",
+    NOT_NEEDED: "not needed",
     EITHER: "either will do",
+    MATTERS: "it matters",
 }
 
 
-def judge_part(part: Part, effects: tuple[Effect, ...], cost: CostChange) -> PartResult:
+def judge_part(part: Part, effects: tuple[Row, ...], cost: CostChange) -> PartResult:
     """Return the verdict on a part that was run."""
     outcome, found = describe(effects)
-    price = f"{_capital(part.text)}: {cost_text(cost, output=part.output)}"
-    if outcome == "changed":
-        verdict = KEEP if part.change == OFF else MATTERS
-        consequence = {OFF: "keep it", ON: "the scene leaves out something that matters"}.get(
-            part.change, "the choice matters"
-        )
-    elif outcome == UNDECIDED:
-        verdict, consequence = UNDECIDED, "undecided" + _what_to_do(effects)
-    elif part.change == OFF and not part.output and _dearer_without(cost):
-        verdict, consequence = KEEP, "but without it the scene is dearer: keep it"
+    price = cost_text(cost, output=part.output)
+    if outcome == UNDECIDED:
+        verdict, said = UNDECIDED, UNDECIDED + _what_to_do(effects)
+    elif outcome == "free" and part.change == OFF and not part.output and _dearer_without(cost):
+        verdict, said = KEEP, "keep it, since the scene is dearer without it"
     else:
-        verdict = _FREE.get(part.change, EITHER)
-        consequence = _CONSEQUENCE[verdict]
-    tried = f" (tried: {part.tried})"
-    sentence = f"{price}{tried}; {found}: {consequence}."
+        verdict = _VERDICTS[part.change][outcome == "changed"]
+        said = _SAID[verdict]
+    sentence = f"{_capital(part.text)} (tried: {part.tried}): {said}. Cost: {price}. Effect: {found}."
     return PartResult(part=part, verdict=verdict, sentence=sentence, cost=cost, effects=effects)
 
 
@@ -71,71 +69,65 @@ def cannot_run(part: Part, status: str, message: str) -> PartResult:
     )
 
 
-def describe(effects: Sequence[Effect]) -> tuple[str, str]:
+def describe(effects: Sequence[Row]) -> tuple[str, str]:
     """Return "free", "changed" or "undecided", and the effects in words."""
-    changed = [e for e in effects if e.verdict == "changed"]
-    undecided = [e for e in effects if e.verdict == "undecided"]
-    aside = [e for e in effects if e.verdict == "-" and e.significant]
-    gone = [e.metric for e in effects if e.verdict == "-" and e.full is not None and e.tried is None]
+    outside, undecided = ([row for row in effects if row.verdict == word] for word in ("outside", "undecided"))
+    aside = [row for row in effects if row.verdict == "-" and row.difference.significant]
+    gone = [r.metric for r in effects if r.verdict == "-" and r.reference.value is not None and r.run.value is None]
     told = ([f"without tolerance: {_listed(aside)}"] if aside else []) + (
         [f"no longer there: {', '.join(gone)}"] if gone else []
     )
     also = f" ({'; '.join(told)})" if told else ""
-    if changed:
-        return "changed", _listed(changed) + also
+    if outside:
+        return "changed", _listed(outside) + also
     if undecided:
         return UNDECIDED, _listed(undecided) + also
-    known = [e for e in effects if e.change is not None]
-    if known and all(e.verdict == "none" for e in known):
+    known = [row for row in effects if row.difference.value is not None]
+    if known and not any(row.difference.value for row in known):
         return "free", "no metric changes by a single bit" + also
-    judged = [e for e in effects if e.verdict in ("none", "within")]
+    judged = [row for row in effects if row.verdict == "ok"]
     if not judged:
         return UNDECIDED, "no metric could be judged" + also
-    worst = worst_of(tuple(judged))
-    closest = "" if worst is None or worst.verdict == "none" else f" (closest: {effect_text(worst)})"
-    which = "no judged metric" if any(e.verdict == "-" for e in effects) else "no metric"
-    limit = "tolerance" if any(e.significant for e in judged) else "uncertainty"
-    return "free", f"{which} changes by more than its {limit}{closest}{also}"
+    worst = worst_of(judged)
+    closest = "" if worst is None or not worst.difference.value else f" (closest: {effect_text(worst)})"
+    limit = "tolerance" if any(row.difference.significant for row in judged) else "uncertainty"
+    return "free", f"no judged metric changes by more than its {limit}{closest}{also}"
 
 
-def _listed(effects: Sequence[Effect]) -> str:
-    ordered = sorted(effects, key=lambda e: -sum(e.share or (0.0, 0.0)))
+def _listed(effects: Sequence[Row]) -> str:
+    ordered = sorted(effects, key=lambda row: -sum(share(row) or (0.0, 0.0)))
     more = f" and {len(ordered) - _NAMED} more" if len(ordered) > _NAMED else ""
-    return ", ".join(effect_text(e) for e in ordered[:_NAMED]) + more
+    return ", ".join(effect_text(row) for row in ordered[:_NAMED]) + more
 
 
-def effect_text(effect: Effect) -> str:
-    """Return "e_n_2 -12.0 ± 0.1 % (1 % allowed)"."""
-    if effect.change is None:
-        gone = "is gone" if effect.tried is None and effect.full is not None else "cannot be compared"
-        return f"{effect.metric} {gone}" + (f" ({effect.reason})" if effect.reason else "")
-    allowed = "" if effect.tolerance is None else f" ({100.0 * effect.tolerance:.3g} % allowed)"
-    return f"{effect.metric} {change_text(effect)}{allowed}"
+def effect_text(row: Row) -> str:
+    """Return "e_n -12.0 ± 0.1 % (±1 % allowed)"."""
+    if row.difference.value is None:
+        gone = "is gone" if row.run.value is None and row.reference.value is not None else "cannot be compared"
+        return f"{row.metric} {gone}" + (f" ({row.reason})" if row.reason else "")
+    return f"{row.metric} {change_text(row)}" + (
+        "" if row.tolerance is None else f" ({allowed(row.tolerance)} allowed)"
+    )
 
 
-def change_text(effect: Effect) -> str:
+def change_text(row: Row) -> str:
     """Return a change with its uncertainty in percent: "+1.2 ± 0.4 %"; "0" for none, "–" for one not known."""
-    if effect.change is None:
-        return "–"
-    if effect.verdict == "none":
+    found = row.difference
+    if found.value == 0.0:
         return "0"
-    if effect.uncertainty is None:
-        return f"{100.0 * effect.change:+.3g} ± ? %"
-    change, width = 100.0 * effect.change, 100.0 * effect.uncertainty
-    if width < 1e-3 * abs(change):  # more digits of the change than anybody reads
-        return f"{change:+.4g} ± {width if width > 1e-9 else 0.0:.1g} %"
-    return f"{plus_minus(change, width, signed=True)} %"
+    if found.value is not None and found.width is None:
+        return f"{100.0 * found.value:+.3g} ± ? %"
+    # a small width would give more digits of the change than anybody reads
+    return percent(found.value) if found.deciding < 1e-3 * abs(found.value or 0.0) else deciding_text(row)
 
 
-def _what_to_do(effects: Sequence[Effect]) -> str:
-    undecided = [e for e in effects if e.verdict == "undecided" and e.change is not None]
-    times = [e.needed_end_time for e in undecided]
-    known = [time for time in times if time is not None]
-    if known and len(known) == len(times):
-        return f", run until about {max(known):.3g} s (run.end_time) to decide"
-    if undecided and all(e.tolerance is None for e in undecided):
+def _what_to_do(effects: Sequence[Row]) -> str:
+    undecided = [row for row in effects if row.verdict == "undecided" and row.difference.value is not None]
+    if (end := needed_end(undecided)) is not None:
+        return f", run until about {end:.3g} s (run.end_time) to decide"
+    if undecided and all(row.tolerance is None for row in undecided):
         return ", say with --tolerance what matters"
-    if any(e.needed_end_time is None and e.full is not None for e in undecided):
+    if any(row.difference.needed_end is None for row in undecided):
         return ", run much longer (of single contacts: with more steps per contact), or allow more"
     return ""
 

@@ -6,16 +6,18 @@ matters is found too. A value of no such order (the drag law) is exchanged for t
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
 
 from kncal.core.checks import one_of
+from kncal.core.registry import Registry
 from kncal.physics.drag import DRAGS
 from kncal.scene.bed_scene import PARCELS, BedScene
 from kncal.scene.contact_limits import FEWEST_FRAMES
-from kncal.scene.needs import Needs, decide, untouched_walls
-from kncal.scene.scene import ContactChoice, Scene
-from kncal.study.trim.base import OFF, ON, OTHER, Part
+from kncal.scene.needs import decide, untouched_walls
+from kncal.scene.scene import Scene
+from kncal.study.trim.trim import OFF, ON, OTHER, Part
 from kncal.study.variants import Changes
 
 #: Frames are tried this many times as far apart.
@@ -23,21 +25,19 @@ SPARSER = 4
 #: Metrics of a bed that grow with its depth, or belong to a grid of that depth.
 OF_THE_DEPTH = ("kinetic_energy", "contacts", "bubble_number", "eps_g")
 
-#: What ``--parts`` may name, with the kinds of cases that have it.
-GROUPS = {
-    "tangential": "all",
-    "rolling": "all",
-    "damping": "all",
-    "contact_model": "all",
-    "walls": "single contacts",
-    "front_back": "beds",
-    "depth": "all",
-    "gas": "all",
-    "drag": "beds",
-    "smoothing": "beds",
-    "gas_step": "beds",
-    "output": "all",
-}
+
+@dataclass(frozen=True, kw_only=True)
+class PartKind:
+    """A kind of part that a scene may have.
+
+    Attributes
+    ----------
+    name : what ``--parts`` calls it
+    find : from a scene and its contact model to the parts of this kind; none where the scene cannot have one
+    """
+
+    name: str
+    find: Callable[[Any, str], Iterable[Part]]
 
 
 def parts_of(scene: Scene | BedScene, model: str, groups: Iterable[str] | None = None) -> tuple[Part, ...]:
@@ -48,11 +48,10 @@ def parts_of(scene: Scene | BedScene, model: str, groups: Iterable[str] | None =
     InputError
         If a group is not one of this kind of case.
     """
-    found = tuple(_of_bed(scene, model) if isinstance(scene, BedScene) else _of_contacts(scene, model))
-    if groups is None:
-        return found
-    wanted = [one_of("part", name, tuple(dict.fromkeys(part.group for part in found))) for name in groups]
-    return tuple(part for part in found if part.group in wanted)
+    found = {name: tuple(kind.find(scene, model)) for name, kind in PARTS.items()}
+    offered = [name for name, parts in found.items() if parts]
+    wanted = offered if groups is None else [one_of("part", name, offered) for name in groups]
+    return tuple(part for name in offered if name in wanted for part in found[name])
 
 
 def _part(name: str, text: str, change: str, tried: str, changes: Changes | None = None, *, model: str = "") -> Part:
@@ -63,44 +62,13 @@ def _not(name: str, text: str, why: str) -> Part:
     return Part(name=name, group=name, text=text, change=OFF, tried="", why_not=why)
 
 
-def _of_contacts(scene: Scene, model: str) -> Iterator[Part]:
-    needs = decide(scene)
-    yield from _friction(scene.contact, needs, _frictions(scene.contact))
-    yield _damping(scene.contact)
-    yield _contact_model(model)
-    yield _walls(scene)
-    yield _not(
-        "depth",
-        "third dimension",
-        f"LIGGGHTS computes in three dimensions always; {needs.dimensions_reason}",
-    )
-    yield _not("gas", "gas", "a case of single contacts has none")
-    yield _recording(scene)
+def _friction(name: str, text: str) -> Callable[[Any, str], Iterator[Part]]:
+    """Forced off where it is used, on where there is something to force."""
 
-
-def _of_bed(scene: BedScene, model: str) -> Iterator[Part]:
-    needs = decide(scene)
-    yield from _friction(scene.contact, needs, _frictions(scene.contact))
-    yield _damping(scene.contact)
-    yield _contact_model(model)
-    yield _front_back(scene)
-    yield _depth(scene)
-    yield _gas(scene)
-    yield _drag(scene)
-    yield from _smoothing(scene)
-    yield _gas_step(scene)
-    yield _frames(scene)
-
-
-def _frictions(contact: ContactChoice) -> list[float]:
-    return [contact.friction, *(c.friction for c in contact.pairs if c.friction is not None)]
-
-
-def _friction(contact: ContactChoice, needs: Needs, frictions: list[float]) -> Iterator[Part]:
-    """Tangential spring and rolling friction: forced off where they are used, on where there is something to force."""
-    coefficients = {"tangential": max(frictions), "rolling": contact.rolling_friction}
-    texts = {"tangential": "tangential spring and friction", "rolling": "rolling friction"}
-    for name, text in texts.items():
+    def find(scene: Any, _: str) -> Iterator[Part]:
+        contact, needs = scene.contact, decide(scene)
+        frictions = [contact.friction, *(c.friction for c in contact.pairs if c.friction is not None)]
+        coefficients = {"tangential": max(frictions), "rolling": contact.rolling_friction}
         if coefficients[name] == 0.0:
             yield _not(name, text, "its coefficient is 0 in every contact")
         elif needs.uses(name):  # without the tangential spring nothing is set rolling, so rolling friction goes with it
@@ -111,108 +79,111 @@ def _friction(contact: ContactChoice, needs: Needs, frictions: list[float]) -> I
             others = {"needs.rolling": False} if alone else {}
             yield _part(name, text, ON, f"with {text}", {f"needs.{name}": True, **others})
 
+    return find
 
-def _damping(contact: ContactChoice) -> Part:
-    text = "damping of contacts"
+
+def _damping(scene: Any, _: str) -> Iterator[Part]:
+    text, contact = "damping of contacts", scene.contact
     rows = [i for i, choice in enumerate(contact.pairs) if choice.e_n not in (None, 1.0)]
     if contact.e_n == 1.0 and not rows:
-        return _not("damping", text, "e_n is 1 in every contact")
+        yield _not("damping", text, "e_n is 1 in every contact")
+        return
     changes = {f"contact.pairs.{i}.e_n": 1.0 for i in rows}
     changes |= {"contact.e_n": 1.0} if contact.e_n != 1.0 else {}
-    return _part("damping", text, OFF, "e_n = 1 in every contact", changes)
+    yield _part("damping", text, OFF, "e_n = 1 in every contact", changes)
 
 
-def _contact_model(model: str) -> Part:
-    text = "Hertz contact"
-    if model == "hertz":
-        return _part("contact_model", text, OFF, "the linear contact", model="linear")
-    return _part("contact_model", text, ON, "the Hertz contact", model="hertz")
+def _contact_model(_: Any, model: str) -> Iterator[Part]:
+    change, other, name = (OFF, "linear", "linear") if model == "hertz" else (ON, "hertz", "Hertz")
+    yield _part("contact_model", "Hertz contact", change, f"the {name} contact", model=other)
 
 
-def _walls(scene: Scene) -> Part:
+def _coupled(scene: Any) -> bool:
+    """Whether particles are many, in a box with a grid."""
+    return isinstance(scene, BedScene)
+
+
+def _walls(scene: Any, _: str) -> Iterator[Part]:
     text = "walls that nothing touches"
-    names = untouched_walls(scene)
-    if not names:
-        why = "every wall can be touched" if scene.walls else "the scene has no walls"
-        return _not("walls", text, why)
-    return _part("walls", text, OFF, f"without {', '.join(names)}", {f"walls.{name}": None for name in names})
+    if _coupled(scene):
+        return
+    if names := untouched_walls(scene):
+        yield _part("walls", text, OFF, f"without {', '.join(names)}", {f"walls.{name}": None for name in names})
+    else:
+        yield _not("walls", text, "every wall can be touched" if scene.walls else "the scene has no walls")
 
 
-def _recording(scene: Scene) -> Part:
-    text, run = "close recording of contacts", scene.run
-    every = SPARSER * run.record_every
-    if run.steps_per_contact / every < FEWEST_FRAMES:
-        return _not("output", text, f"a contact would have fewer than {FEWEST_FRAMES} frames")
-    part = _part("output", text, OFF, f"a frame every {every} steps of a contact", {"run.record_every": every})
-    return replace(part, output=True)
-
-
-def _front_back(scene: BedScene) -> Part:
+def _front_back(scene: Any, _: str) -> Iterator[Part]:
+    if not _coupled(scene):
+        return
     text, found = "front and back walls", scene.column.front_back
     if found == "layer":
-        return _not("front_back", text, "one layer of particles, held in its plane")
-    if found == "walls":
-        return _part("front_back", text, OFF, "periodic in depth", {"column.front_back": "periodic"})
-    return _part("front_back", text, ON, "walls in front and at the back", {"column.front_back": "walls"})
+        yield _not("front_back", text, "one layer of particles, held in its plane")
+    elif found == "walls":
+        yield _part("front_back", text, OFF, "periodic in depth", {"column.front_back": "periodic"})
+    else:
+        yield _part("front_back", text, ON, "walls in front and at the back", {"column.front_back": "walls"})
 
 
-def _depth(scene: BedScene) -> Part:
-    """The bed as one layer of particles, with as many of them per floor area."""
-    text, column, particles = "depth of the bed", scene.column, scene.particles
-    if column.front_back == "layer":
-        return _not("depth", text, "the bed is one layer of particles already")
-    if particles.count < 2:
-        return _not("depth", text, "fewer than two particles")
-    if particles.packing == "given":
-        return _not("depth", text, "the positions of the particles are given, in three dimensions")
-    d = particles.diameter
+def _depth(scene: Any, _: str) -> Iterator[Part]:
+    """One layer of particles, with as many of them per floor area."""
+    if not _coupled(scene):
+        why = f"LIGGGHTS computes in three dimensions always; {decide(scene).dimensions_reason}"
+        yield _not("depth", "third dimension", why)
+        return
+    text, column, particles, d = "depth of the bed", scene.column, scene.particles, scene.particles.diameter
     count = round(particles.count * d / column.depth)
-    if count < 2 or column.depth < 1.5 * d:
-        return _not("depth", text, "the bed is hardly deeper than a particle")
-    nx, _, nz = column.cells
-    part = _part(
-        "depth",
-        text,
-        OFF,
-        f"one layer of {count} particles",
-        {
-            "column.front_back": "layer",
-            "column.depth": d,
-            "column.cells": [nx, 1, nz],
-            "particles.count": count,
-        },
-    )
+    why_not = {
+        "the bed is one layer of particles already": column.front_back == "layer",
+        "fewer than two particles": particles.count < 2,
+        "the positions of the particles are given, in three dimensions": particles.packing == "given",
+        "the bed is hardly deeper than a particle": count < 2 or column.depth < 1.5 * d,
+    }
+    if why := next((why for why, is_so in why_not.items() if is_so), ""):
+        yield _not("depth", text, why)
+        return
+    nx, _ny, nz = column.cells
+    layer = {"column.front_back": "layer", "column.depth": d, "column.cells": [nx, 1, nz], "particles.count": count}
     lost = dict.fromkeys(OF_THE_DEPTH, "goes with the depth of the bed, or belongs to its grid")
-    return replace(part, lost=lost)
+    yield replace(_part("depth", text, OFF, f"one layer of {count} particles", layer), lost=lost)
 
 
-def _gas(scene: BedScene) -> Part:
-    if scene.gas is None:
-        return _not("gas", "gas", "the case has no [gas]")
-    if not scene.particles.count or scene.particles.frozen:
-        return _not("gas", "gas", "nothing else moves")
-    step = {"run.gas_step": None} if scene.run.gas_step is not None else {}
-    return _part("gas", "gas", OFF, "particles only", {"gas": None, **step})
+def _gas(scene: Any, _: str) -> Iterator[Part]:
+    if why := _no_gas(scene):
+        yield _not("gas", "gas", why)
+    elif not scene.particles.count or scene.particles.frozen:
+        yield _not("gas", "gas", "nothing else moves")
+    else:
+        step = {"run.gas_step": None} if scene.run.gas_step is not None else {}
+        yield _part("gas", "gas", OFF, "particles only", {"gas": None, **step})
 
 
-def _coupled(scene: BedScene) -> str:
-    """Why a bed has no force of the gas on particles; empty if it has."""
-    if scene.gas is None:
-        return "the case has no [gas]"
-    return "" if scene.particles.count else "there are no particles"
+def _no_gas(scene: Any) -> str:
+    """Why a scene has no gas; empty if it has."""
+    return "" if _coupled(scene) and scene.gas is not None else "the case has no [gas]"
 
 
-def _drag(scene: BedScene) -> Part:
+def _no_force(scene: Any) -> str:
+    """Why a scene has no force of the gas on particles; empty if it has."""
+    return _no_gas(scene) or ("" if scene.particles.count else "there are no particles")
+
+
+def _drag(scene: Any, _: str) -> Iterator[Part]:
     text = "drag law"
-    if (why := _coupled(scene)) or scene.gas is None:
-        return _not("drag", text, why)
+    if not _coupled(scene):
+        return
+    if why := _no_force(scene):
+        yield _not("drag", text, why)
+        return
     other = next(name for name in DRAGS if name != scene.gas.drag)
-    return _part("drag", f"{text} {scene.gas.drag}", OTHER, f"drag by {other}", {"gas.drag": other})
+    yield _part("drag", f"{text} {scene.gas.drag}", OTHER, f"drag by {other}", {"gas.drag": other})
 
 
-def _smoothing(scene: BedScene) -> Iterator[Part]:
+def _smoothing(scene: Any, _: str) -> Iterator[Part]:
     text = "smoothing of the void fraction"
-    if (why := _coupled(scene)) or scene.gas is None:
+    if not _coupled(scene):
+        return
+    if why := _no_force(scene):
         yield _not("smoothing", text, why)
         return
     now = scene.gas.parcels_per_particle
@@ -228,19 +199,47 @@ def _smoothing(scene: BedScene) -> Iterator[Part]:
             )
 
 
-def _gas_step(scene: BedScene) -> Part:
+def _gas_step(scene: Any, _: str) -> Iterator[Part]:
     text, run = "finer gas step", scene.run
-    if scene.gas is None:
-        return _not("gas_step", text, "the case has no [gas]")
-    if run.gas_step is not None and run.gas_step < run.coupling:
-        return _part("gas_step", text, OFF, "one gas step per coupling interval", {"run.gas_step": None})
-    return _part("gas_step", text, ON, "two gas steps per coupling interval", {"run.gas_step": 0.5 * run.coupling})
+    if not _coupled(scene):
+        return
+    if why := _no_gas(scene):
+        yield _not("gas_step", text, why)
+    elif run.gas_step is not None and run.gas_step < run.coupling:
+        yield _part("gas_step", text, OFF, "one gas step per coupling interval", {"run.gas_step": None})
+    else:
+        yield _part("gas_step", text, ON, "two gas steps per coupling interval", {"run.gas_step": 0.5 * run.coupling})
 
 
-def _frames(scene: BedScene) -> Part:
-    text, run = "close recording of frames", scene.run
-    every = SPARSER * run.frames_every
-    if run.end_time / every < FEWEST_FRAMES:
-        return _not("output", text, f"the run would have fewer than {FEWEST_FRAMES} frames")
-    part = _part("output", text, OFF, f"a frame every {every:g} s", {"run.frames_every": every})
-    return replace(part, output=True)
+def _output(scene: Any, _: str) -> Iterator[Part]:
+    run = scene.run
+    if _coupled(scene):
+        every = SPARSER * run.frames_every
+        text, of, frames, key, how = "frames", "the run", run.end_time / every, "run.frames_every", f"{every:g} s"
+    else:
+        every = SPARSER * run.record_every
+        text, of, frames, key = "contacts", "a contact", run.steps_per_contact / every, "run.record_every"
+        how = f"{every} steps of a contact"
+    text = f"close recording of {text}"
+    if frames < FEWEST_FRAMES:
+        yield _not("output", text, f"{of} would have fewer than {FEWEST_FRAMES} frames")
+    else:
+        yield replace(_part("output", text, OFF, f"a frame every {how}", {key: every}), output=True)
+
+
+PARTS = Registry(
+    "part",
+    PartKind,
+    PartKind(name="tangential", find=_friction("tangential", "tangential spring and friction")),
+    PartKind(name="rolling", find=_friction("rolling", "rolling friction")),
+    PartKind(name="damping", find=_damping),
+    PartKind(name="contact_model", find=_contact_model),
+    PartKind(name="walls", find=_walls),
+    PartKind(name="front_back", find=_front_back),
+    PartKind(name="depth", find=_depth),
+    PartKind(name="gas", find=_gas),
+    PartKind(name="drag", find=_drag),
+    PartKind(name="smoothing", find=_smoothing),
+    PartKind(name="gas_step", find=_gas_step),
+    PartKind(name="output", find=_output),
+)

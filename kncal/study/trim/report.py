@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
 
 from kncal.core.files import write_csv, write_json, write_text
 from kncal.core.units import quantity
-from kncal.report.page import Page, Section, Table, report_folder, verdict, write_page
+from kncal.observe.row import allowed
+from kncal.report.page import Page, Section, Table, report_folder, write_page
 from kncal.scene.case_file import CASE, dump_case
-from kncal.study.trim.base import DOES_NOT_APPLY, RECORD, CostChange, PartResult, Trim
 from kncal.study.trim.figures import draw_figures
 from kncal.study.trim.judgement import change_text
+from kncal.study.trim.trim import DOES_NOT_APPLY, RECORD, CostChange, PartResult, Trim
 
 CSV, REPORT = "trim.csv", "report"
 
@@ -44,7 +44,7 @@ def write_trim(found: Trim, out: Path) -> Path:
         subject="what it can do without",
         about=f"Case {found.case}, {found.model} contact: what the scene can do without. Each optional part of its"
         " physics was left out (or added, if the scene has it not), one at a time; then all that may go at once.",
-        verdict=verdict("within" if found.without else "open", found.sentences),
+        verdict=found.verdict,
         sections=(
             Section(
                 title="Part by part",
@@ -103,17 +103,17 @@ def csv_rows(found: Trim) -> list[dict[str, object]]:
         rows += [
             {
                 **first,
-                "metric": e.metric,
-                "full": e.full,
-                "tried": e.tried,
-                "unit": e.unit,
-                "difference": e.change,
-                "uncertainty": e.uncertainty,
-                "tolerance": e.tolerance,
-                "effect": e.verdict,
+                "metric": row.metric,
+                "full": row.reference.value,
+                "tried": row.run.value,
+                "unit": row.unit,
+                "difference": row.difference.value,
+                "uncertainty": row.difference.deciding,
+                "tolerance": row.tolerance,
+                "effect": row.verdict,
                 **price,
             }
-            for e in result.effects
+            for row in result.effects
         ] or [{**first, **price}]
     return rows
 
@@ -157,16 +157,16 @@ def _cpu(cost: CostChange) -> str:
 
 
 def _effects(result: PartResult) -> Table:
-    rows: Iterable[tuple[str, ...]] = (
+    rows = tuple(
         (
-            e.metric,
-            quantity(e.full, e.unit),
-            quantity(e.tried, e.unit),
-            change_text(e),
-            "" if e.tolerance is None else f"±{100.0 * e.tolerance:.3g} %",
-            "" if e.verdict == "-" else e.verdict,
-            e.reason,
+            row.metric,
+            quantity(row.reference.value, row.unit),
+            quantity(row.run.value, row.unit),
+            change_text(row),
+            "" if row.tolerance is None else allowed(row.tolerance),
+            "" if row.verdict == "-" else row.verdict,
+            row.reason,
         )
-        for e in result.effects
+        for row in result.effects
     )
-    return Table(("", "full", "tried", "change", "allowed", "", "remark"), tuple(rows), text=(0, 5, 6))
+    return Table(("", "full", "tried", "change", "allowed", "", "remark"), rows, text=(0, 5, 6))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from kncal.observe.row import Row
+from kncal.observe.verdict import Verdict
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.scene import Scene
 from kncal.study.variants import Changes
@@ -56,48 +58,6 @@ class Part:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Effect:
-    """How one metric of the scene changes.
-
-    Attributes
-    ----------
-    metric, unit : name, and unit of ``full`` and ``tried``
-    full, tried : values of the full scene and of the one tried, or None
-    change : (tried - full)/scale [-], or None if it cannot be computed
-    uncertainty : of ``change`` [-]; of single contacts the discretisation error of both runs together, of beds the
-        half-width of the 95 % confidence interval (three times that where it is not reliable); None: not known
-    basis : what the scale is
-    tolerance : largest allowed abs(change) [-]; None: not judged
-    verdict : "none" (equal to the last bit), "within" (the whole interval is inside the tolerance), "changed" (all of
-        it is outside, or the metric is gone), "undecided", or "-" (not judged)
-    significant : whether the change is larger than its uncertainty; None: not known
-    needed_end_time : run.end_time that would decide [s], or None
-    reason : what to know
-    """
-
-    metric: str
-    unit: str
-    full: float | None
-    tried: float | None
-    change: float | None
-    uncertainty: float | None
-    basis: str
-    tolerance: float | None
-    verdict: str
-    significant: bool | None
-    needed_end_time: float | None = None
-    reason: str = ""
-
-    @property
-    def share(self) -> tuple[float, float] | None:
-        """Size of the change and its uncertainty over the tolerance (without one: over the uncertainty), or None."""
-        limit = self.tolerance if self.tolerance is not None else self.uncertainty
-        if self.change is None or not limit:
-            return None
-        return abs(self.change) / limit, (self.uncertainty or 0.0) / limit
-
-
-@dataclass(frozen=True, kw_only=True)
 class CostChange:
     """What having a part costs: with over without (or, between equals, tried over full), less one [-].
 
@@ -133,10 +93,10 @@ class PartResult:
     verdict: str
     sentence: str
     cost: CostChange | None = None
-    effects: tuple[Effect, ...] = ()
+    effects: tuple[Row, ...] = ()
 
     @property
-    def worst(self) -> Effect | None:
+    def worst(self) -> Row | None:
         """The effect that decides, see `worst_of`."""
         return worst_of(self.effects)
 
@@ -150,6 +110,7 @@ class Attempt:
     without : names of the parts left out
     verdict : "holds", "changed", "undecided" or `CANNOT_RUN`
     together : metrics that change (or are undecided) though they do not for any of these parts alone
+    effects : a row per metric: the scene tried against the full one, see `kncal.study.trim.effects`
     put_back : names of the parts that go back for the next attempt
     """
 
@@ -159,7 +120,7 @@ class Attempt:
     together: tuple[str, ...] = ()
     put_back: tuple[str, ...] = ()
     cost: CostChange | None = None
-    effects: tuple[Effect, ...] = ()
+    effects: tuple[Row, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,56 +131,60 @@ class Trim:
     ----------
     case, title : of the full scene
     model : contact model of the full scene
-    bed : whether it is a coupled bed
     tolerances : metric -> largest allowed abs(change) [-]
     results : one per part
     attempts : the trimmed scene against the full one, until it held
     without : names of the parts that the trimmed case leaves out
     trimmed : the trimmed scene
-    sentences : the outcome in words, then what to keep in mind
+    verdict : the outcome in words
     """
 
     case: str
     title: str
     model: str
-    bed: bool
     tolerances: Mapping[str, float]
     results: tuple[PartResult, ...]
     attempts: tuple[Attempt, ...]
     without: tuple[str, ...]
     trimmed: Scene | BedScene
     trimmed_model: str
-    sentences: tuple[str, ...]
+    verdict: Verdict
 
     def to_dict(self) -> dict[str, Any]:
         """Everything but the trimmed scene (that is case.toml), as plain JSON types."""
         return {
-            "case": self.case,
-            "title": self.title,
-            "model": self.model,
-            "bed": self.bed,
+            **{key: value for key, value in vars(self).items() if key not in ("results", "trimmed")},
             "tolerances": dict(self.tolerances),
-            "sentences": list(self.sentences),
-            "parts": [_plain(result) for result in self.results],
-            "attempts": [asdict(attempt) for attempt in self.attempts],
-            "without": list(self.without),
-            "trimmed_model": self.trimmed_model,
+            "verdict": list(self.verdict.all),
+            "parts": [{**vars(r.part), **_plain(r)} for r in self.results],
+            "attempts": [_plain(attempt) for attempt in self.attempts],
         }
 
 
-def _plain(result: PartResult) -> dict[str, Any]:
-    values = asdict(result)
-    part = values.pop("part")
-    return {**part, "lost": dict(result.part.lost), **values}
+def _plain(found: PartResult | Attempt) -> dict[str, Any]:
+    cost = None if found.cost is None else asdict(found.cost)
+    values = {key: value for key, value in vars(found).items() if key != "part"}
+    return {**values, "cost": cost, "effects": [row.to_dict() for row in found.effects]}
 
 
-def worst_of(effects: tuple[Effect, ...]) -> Effect | None:
+def share(row: Row) -> tuple[float, float] | None:
+    """Return the size of a change and its uncertainty over its limit, or None.
+
+    The limit is the tolerance; without one the uncertainty.
+    """
+    size, width = row.difference.value, row.difference.deciding
+    limit = row.tolerance if row.tolerance is not None else width
+    return None if size is None or not limit else (abs(size) / limit, width / limit)
+
+
+def worst_of(effects: Iterable[Row]) -> Row | None:
     """Return the effect that decides, None if none has a share of a limit.
 
-    That is one of the judged, if there are any: the changed before the undecided, then the one that uses most of its
+    That is one of the judged, if there are any: those outside before the undecided, then the one that uses most of its
     limit.
     """
-    judged = [e for e in effects if e.tolerance is not None] or list(effects)
-    ranks = {"changed": 2, "undecided": 1}
-    shares = [(ranks.get(e.verdict, 0), sum(e.share), e) for e in judged if e.share is not None]
+    effects = list(effects)
+    ranks = {"outside": 2, "undecided": 1}
+    judged = [row for row in effects if row.tolerance is not None] or effects
+    shares = [(ranks.get(row.verdict, 0), sum(used), row) for row in judged if (used := share(row)) is not None]
     return max(shares, key=lambda item: item[:2])[2] if shares else None

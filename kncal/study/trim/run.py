@@ -16,16 +16,21 @@ from typing import Any
 from kncal.core.checks import in_range, one_of
 from kncal.core.errors import CaseFileError, InputError, RunError
 from kncal.core.files import write_text
+from kncal.observe.difference import FIELDS, PATHS
+from kncal.observe.row import Row
 from kncal.observe.run_data import RunData
+from kncal.observe.verdict import Verdict
 from kncal.runs.measure_speed import resolve_measured
-from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import dump_case, load_case
 from kncal.scene.model import KINDS
-from kncal.scene.scene import Scene
+from kncal.scene.plan import plan
 from kncal.study import Variant, VariantRun, run_variants
 from kncal.study.folders import refuse_other
 from kncal.study.runs import REFUSED, OnStudyProgress
-from kncal.study.trim.base import (
+from kncal.study.trim.effects import cost_change, effects, resolution_of, see
+from kncal.study.trim.judgement import cannot_run, cost_text, describe, judge_part
+from kncal.study.trim.parts import parts_of
+from kncal.study.trim.trim import (
     CANNOT_RUN,
     DOES_NOT_APPLY,
     LEAVE_OUT,
@@ -33,22 +38,12 @@ from kncal.study.trim.base import (
     RECORD,
     UNDECIDED,
     Attempt,
-    Effect,
     Part,
     PartResult,
     Tell,
     Trim,
+    share,
 )
-from kncal.study.trim.effect import (
-    bed_effects,
-    contact_effects,
-    cost_change,
-    resolution_of,
-    see_bed,
-    see_contacts,
-)
-from kncal.study.trim.judgement import cannot_run, cost_text, describe, judge_part
-from kncal.study.trim.parts import parts_of
 from kncal.study.variants import texts
 
 FULL, FINE, RUNS = "full", "fine", "runs"
@@ -69,8 +64,8 @@ class TrimOptions:
     model : contact model of the full scene
     overrides : ``KEY=VALUE`` in place of what the case says
     tolerances : metric -> largest allowed abs(change) [-]; empty: those of the case
-    parts : groups of `kncal.study.trim.parts.GROUPS`; None: all
-    rounds : how often everything is run, for the spread of CPU times; None: `ROUNDS`, of beds once
+    parts : names of `kncal.study.trim.parts.PARTS`; None: all
+    rounds : how often everything is run, for the spread of CPU times; None: `ROUNDS`, with gas once
     engine, transport, workers, timeout : see `kncal.study.run_variants`
     """
 
@@ -109,74 +104,61 @@ def trim(
     """
     one_of("model", options.model, KINDS)
     scene = load_case(case, overrides=options.overrides)
-    rounds = options.rounds if options.rounds is not None else 1 if isinstance(scene, BedScene) else ROUNDS
-    in_range("rounds", rounds, 1, 1000)
     parts_of(scene, options.model, options.parts)  # refuses an unknown one before anything runs
     path = out / f"{scene.name}.toml"
     refuse_other(out, RECORD, (path.name, RUNS, MEASURED), case)
+    in_range("rounds", ROUNDS if options.rounds is None else options.rounds, 1, 1000)
     scene = resolve_measured(
         scene, out / MEASURED, engine=options.engine, transport=options.transport, timeout=options.timeout, tell=tell
     )
-    tolerances = _tolerances(scene, options)
     parts = parts_of(scene, options.model, options.parts)
     out.mkdir(parents=True, exist_ok=True)
     write_text(path, dump_case(scene))
-    study = _Study(path, scene, out / RUNS, options, rounds, on_progress, tolerances)
-    tried = [part for part in parts if not part.why_not]
-    study.run([*(_variant(part, options.model) for part in tried)])
-    results = [
-        PartResult(part=part, verdict=DOES_NOT_APPLY, sentence=f"{part.text} is not tried: {part.why_not}.")
-        if part.why_not
-        else study.result(part)
-        for part in parts
-    ]
-    return _together(scene, study, results, tell)
+    study = _Study(path, scene, out / RUNS, options, on_progress)
+    study.run([_variant(part, options.model) for part in parts if not part.why_not])
+    return _together(study, [study.result(part) for part in parts], tell)
 
 
 class _Study:
     """The runs of one trim: what was run, and the effects against the full scene."""
 
     def __init__(
-        self,
-        path: Path,
-        scene: Scene | BedScene,
-        folder: Path,
-        options: TrimOptions,
-        rounds: int,
-        on_progress: OnStudyProgress | None,
-        tolerances: Mapping[str, float],
+        self, path: Path, scene: Any, folder: Path, options: TrimOptions, on_progress: OnStudyProgress | None
     ) -> None:
-        self.scene, self.options, self.tolerances, self.rounds = scene, options, tolerances, rounds
-        self.path, self._folder, self._on_progress = path, folder, on_progress
+        self.scene, self.options, self.path, self.folder = scene, options, path, folder
+        self.tolerances: Mapping[str, float] = dict(options.tolerances or scene.tolerances)
         self.runs: dict[str, VariantRun] = {}
-        self._full: RunData | None = None
+        self.full: RunData | None = None
+        self._told = on_progress
         self._resolution: dict[str, float] = {}
+        # with gas averages are compared, whose intervals the runs tell themselves, and a run takes long
+        self._averaged = plan(scene, (options.model,))[options.model].couplings > 0
+        self._rounds = options.rounds or (1 if self._averaged else ROUNDS)
 
     def run(self, variants: Sequence[Variant]) -> None:
         """Run ``variants``, and the full scene unless it is there, in the same rounds."""
         first = [] if FULL in self.runs else self._first()
-        found = run_variants(
+        self.runs |= run_variants(
             self.path,
             [*first, *variants],
-            self._folder,
-            rounds=self.rounds,
+            self.folder,
+            rounds=self._rounds,
             engine=self.options.engine,
             transport=self.options.transport,
             workers=self.options.workers,
             timeout=self.options.timeout,
-            on_progress=self._on_progress,
+            on_progress=self._told,
         )
-        self.runs |= found
         if first:
             self._see_full()
 
     def _first(self) -> list[Variant]:
-        variants = [Variant(name=FULL, model=self.options.model)]
-        if not isinstance(self.scene, BedScene):
-            run = self.scene.run
-            finer = {"run.dt": 0.5 * run.dt} if run.dt else {"run.steps_per_contact": 2.0 * run.steps_per_contact}
-            variants.append(Variant(name=FINE, model=self.options.model, changes=finer))
-        return variants
+        model, run = self.options.model, self.scene.run
+        full = Variant(name=FULL, model=model)
+        if self._averaged:
+            return [full]
+        finer = {"run.dt": 0.5 * run.dt} if run.dt else {"run.steps_per_contact": 2.0 * run.steps_per_contact}
+        return [full, Variant(name=FINE, model=model, changes=finer)]
 
     def _see_full(self) -> None:
         full = self.runs[FULL]
@@ -184,42 +166,42 @@ class _Study:
             raise CaseFileError(f"the full scene cannot be run: {full.message}")
         if not full.completed:
             raise RunError(f"the full scene ended as {full.status!r}: {full.message}")
-        if isinstance(self.scene, BedScene):
-            self._full = see_bed(full)
-            return
-        self._full = see_contacts(full)
-        fine = self.runs[FINE]
-        if fine.completed:
-            self._resolution = resolution_of(self._full, see_contacts(fine))
+        self.full = see(full)
+        if (fine := self.runs.get(FINE)) is not None and fine.completed:
+            self._resolution = resolution_of(self.full, see(fine))
 
-    def effects(self, name: str, lost: Mapping[str, str], part: Part | None = None) -> tuple[Effect, ...]:
-        """Return the effects of the completed variant ``name``, by which ``part`` (None: several) is tried."""
-        run = self.runs[name]
-        if self._full is None:
+    def effects(self, name: str, parts: Sequence[Part]) -> tuple[Row, ...]:
+        """Return the effects of the completed variant ``name``, by which ``parts`` are tried at once."""
+        if self.full is None:
             raise InputError("the full scene was not run")
-        if self._full.signals is not None:
-            return bed_effects(see_bed(run), self._full, self.tolerances, lost)
-        return contact_effects(part, see_contacts(run), self._full, self.tolerances, self._resolution)
+        return effects(
+            see(self.runs[name]),
+            self.full,
+            self.tolerances,
+            lost={metric: why for part in parts for metric, why in part.lost.items()},
+            resolution=self._resolution,
+            recorded=len(parts) == 1 and parts[0].output,
+        )
 
     def result(self, part: Part) -> PartResult:
         """Judge one part."""
+        if part.why_not:
+            sentence = f"{part.text} is not tried: {part.why_not}."
+            return PartResult(part=part, verdict=DOES_NOT_APPLY, sentence=sentence)
         run = self.runs[part.name]
         if not run.completed:
             return cannot_run(part, run.status, run.message)
         cost = cost_change(part, run, self.runs[FULL], self.options.engine)
-        return judge_part(part, self.effects(part.name, part.lost, part), cost)
-
-
-def _tolerances(scene: Scene | BedScene, options: TrimOptions) -> dict[str, float]:
-    return dict(options.tolerances or scene.tolerances)
+        return judge_part(part, self.effects(part.name, [part]), cost)
 
 
 def _variant(part: Part, model: str) -> Variant:
     return Variant(name=part.name, model=part.model or model, changes=part.changes)
 
 
-def _together(scene: Scene | BedScene, study: _Study, results: Sequence[PartResult], tell: Tell | None) -> Trim:
+def _together(study: _Study, results: Sequence[PartResult], tell: Tell | None) -> Trim:
     """Run without everything that may go, and put back what must not go together with the rest."""
+    scene = study.scene
     going, clashing = _compatible([r for r in results if r.verdict == LEAVE_OUT])
     attempts: list[Attempt] = []
     while going:
@@ -233,19 +215,17 @@ def _together(scene: Scene | BedScene, study: _Study, results: Sequence[PartResu
         if attempt.verdict == "holds":
             break
     without = tuple(r.part for r in going)
-    trimmed = _trimmed(scene, study, without)
     return Trim(
         case=scene.name,
         title=scene.title,
         model=study.options.model,
-        bed=isinstance(scene, BedScene),
         tolerances=study.tolerances,
         results=tuple(results),
         attempts=tuple(attempts),
         without=tuple(part.name for part in without),
-        trimmed=trimmed,
+        trimmed=_trimmed(study, without),
         trimmed_model=_model_of(without, study.options.model),
-        sentences=_sentences(scene, study, results, attempts, without, clashing),
+        verdict=_verdict(study, results, attempts, without, clashing),
     )
 
 
@@ -281,14 +261,13 @@ def _attempt(study: _Study, going: Sequence[PartResult], number: int) -> Attempt
         back = (max(going, key=_suspicion(())).part.name,)
         sentence = f"Without {listed} at once the scene ended as {run.status!r}: {run.message}: {back[0]} goes back."
         return Attempt(without=without, verdict=CANNOT_RUN, sentence=sentence, put_back=back)
-    lost = {metric: why for part in parts for metric, why in part.lost.items()}
-    effects = study.effects(name, lost, parts[0] if len(parts) == 1 else None)
+    rows = study.effects(name, parts)
     cost = cost_change(None, run, study.runs[FULL], study.options.engine)
-    outcome, found = describe(effects)
-    price = f"Without {listed} at once (the full scene costs {cost_text(cost)})"
+    outcome, found = describe(rows)
+    price = f"Without {listed} at once (to have it costs {cost_text(cost)})"
     if outcome == "free":
-        return Attempt(without=without, verdict="holds", sentence=f"{price}: {found}.", cost=cost, effects=effects)
-    bad = tuple(e.metric for e in effects if e.verdict == outcome)
+        return Attempt(without=without, verdict="holds", sentence=f"{price}: {found}.", cost=cost, effects=rows)
+    bad = tuple(row.metric for row in rows if row.verdict == {"changed": "outside"}.get(outcome, outcome))
     alone = "which no part does alone" if len(parts) > 1 else "as by itself"
     back = (max(going, key=_suspicion(bad)).part.name,)
     sentence = f"{price}: {found}, {alone}: {back[0]} goes back."
@@ -299,18 +278,18 @@ def _attempt(study: _Study, going: Sequence[PartResult], number: int) -> Attempt
         together=bad,
         put_back=back,
         cost=cost,
-        effects=effects,
+        effects=rows,
     )
 
 
 def _suspicion(metrics: Sequence[str]) -> Callable[[PartResult], float]:
     """Return what a part's own effects use of the limits of ``metrics`` (none given: of all): a key to sort by."""
 
-    def share(result: PartResult) -> float:
-        shares = [e.share for e in result.effects if not metrics or e.metric in metrics]
+    def used(result: PartResult) -> float:
+        shares = [share(row) for row in result.effects if not metrics or row.metric in metrics]
         return max((sum(s) for s in shares if s is not None), default=0.0)
 
-    return share
+    return used
 
 
 def _all_of(name: str, parts: Iterable[Part], model: str) -> Variant:
@@ -325,62 +304,56 @@ def _model_of(parts: Iterable[Part], model: str) -> str:
     return next((part.model for part in parts if part.model), model)
 
 
-def _trimmed(scene: Scene | BedScene, study: _Study, without: Sequence[Part]) -> Scene | BedScene:
-    changes = _changes(without)
+def _trimmed(study: _Study, without: Sequence[Part]) -> Any:
+    scene, changes = study.scene, _changes(without)
     trimmed = load_case(study.path, overrides=texts(changes)) if changes else scene
     said = f"trimmed: without {', '.join(part.text for part in without)}" if without else "trimmed: nothing left out"
     title = f"{scene.title}, {said}" if scene.title else said.capitalize()
     return replace(trimmed, name=scene.name, title=title[:_LONGEST_TITLE])
 
 
-def _sentences(
-    scene: Scene | BedScene,
+def _verdict(
     study: _Study,
     results: Sequence[PartResult],
     attempts: Sequence[Attempt],
     without: Sequence[Part],
     clashing: Sequence[PartResult],
-) -> tuple[str, ...]:
-    texts = [_outcome(scene, attempts, without)]
-    for verdict, how in ((MATTERS, "Not in the case, or of another kind, and it matters"), (UNDECIDED, "Undecided")):
+) -> Verdict:
+    name, last = study.scene.name, attempts[-1] if without else None
+    if last is None:
+        texts = [f"{name}: nothing was found that the scene can surely do without."]
+    else:
+        price = "" if last.cost is None else f" (to have it costs {cost_text(last.cost)})"
+        texts = [f"{name} can do without {', '.join(part.text for part in without)}{price}."]
+        texts.append(f"All at once: {describe(last.effects)[1]}.")
+    for verdict, how in ((MATTERS, "It matters, and the case does not have it"), (UNDECIDED, "Undecided")):
         if names := [r.part.name for r in results if r.verdict == verdict]:
             texts.append(f"{how}: {', '.join(names)}.")
+    points = len(texts) - 1
     texts += [f"{r.part.name}: not left out together with a part that sets the same values." for r in clashing]
     texts += [a.sentence for a in attempts if a.verdict != "holds"]
+    rows = [row for r in results for row in r.effects]
+    averaged = any(row.difference.chance for row in rows)
     if not study.tolerances:
+        no_effect = "equality to the last bit" if averaged else "a change below the discretisation error"
+        texts.append(f"No tolerance is given: only {no_effect} counts as no effect.")
+    elif any(row.verdict == "-" for row in rows):
+        texts.append(f"Judged: {', '.join(study.tolerances)}. Other metrics are shown, not judged.")
+    texts += _not_there(rows)
+    called = [
+        row for row in rows if row.verdict == "-" and row.difference.value and row.difference.significant is not None
+    ]
+    if averaged and called:
         texts.append(
-            "No tolerance is given: "
-            + (
-                "of a bed nothing but equality to the last bit shows that a part has no effect."
-                if isinstance(scene, BedScene)
-                else "what is smaller than the discretisation error counts as no effect."
-            )
-        )
-    elif any(e.verdict == "-" for r in results for e in r.effects):
-        texts.append(f"Judged by the tolerances of {', '.join(study.tolerances)}; other metrics are told, not judged.")
-    texts += _not_there(results)
-    called = [e for r in results for e in r.effects if e.verdict == "-" and e.change and e.significant is not None]
-    if isinstance(scene, BedScene) and called:
-        texts.append(
-            f"{len(called)} changes are told, not judged. Expect {0.05 * len(called):.1f} of them to be larger"
-            " than their uncertainty although nothing has changed."
+            f"{len(called)} changes are shown, not judged. About {0.05 * len(called):.1f} of them are larger than their"
+            " uncertainty by chance alone."
         )
     texts += dict.fromkeys(f"CPU times: {r.cost.caveat}." for r in results if r.cost is not None and r.cost.caveat)
-    return tuple(texts)
+    return Verdict.of("within" if without else "open", texts, points)
 
 
-def _not_there(results: Sequence[PartResult]) -> list[str]:
+def _not_there(rows: Iterable[Row]) -> list[str]:
     """Say which tolerances are for metrics that the full scene has not."""
-    names = dict.fromkeys(e.metric for r in results for e in r.effects if e.tolerance is not None and e.full is None)
-    fields = ("eps_g", "trajectory", "trajectory_rms")  # differences from the start
-    missing = [name for name in names if name not in fields]
+    judged = [row for row in rows if row.tolerance is not None and row.reference.value is None]
+    missing = dict.fromkeys(row.metric for row in judged if row.metric not in (*FIELDS, *PATHS))
     return [f"Not judged, since the full scene has none: {', '.join(missing)}."] if missing else []
-
-
-def _outcome(scene: Scene | BedScene, attempts: Sequence[Attempt], without: Sequence[Part]) -> str:
-    if not without:
-        return f"{scene.name}: nothing was found that the scene can do without for certain."
-    listed = ", ".join(part.text for part in without)
-    last = attempts[-1]
-    price = "" if last.cost is None else f"; to have it costs {cost_text(last.cost)}"
-    return f"{scene.name} can do without {listed}{price}. All at once, {describe(last.effects)[1]}."
