@@ -10,9 +10,8 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from kncal.cli import show
+from kncal.cli.flags import Case, Json
 from kncal.core.errors import InputError
-
-Json = Annotated[bool, Parameter(name="--json", negative="", help="print data for machines")]
 
 
 def cases(*, json: Json = False) -> None:
@@ -23,26 +22,17 @@ def cases(*, json: Json = False) -> None:
     if json:
         show.as_json([{"name": s.name, "title": s.title, "source": s.source} for s in scenes])
         return
-    show.table(
-        "Shipped cases",
-        ["case", "what it is", "parameters from"],
-        [[s.name, s.title, s.source] for s in scenes],
-        text=(0, 1, 2),
-        fold=True,
+    show.words(
+        "Shipped cases", ["case", "what it is", "parameters from"], [[s.name, s.title, s.source] for s in scenes]
     )
     show.say("Run one: kncal compare NAME.  Make your own from one: kncal new NAME FOLDER")
 
 
-def new(case: str, folder: Path) -> None:
-    """Copy a shipped CASE to FOLDER as the start of your own.
-
-    Parameters
-    ----------
-    case
-        Name of a shipped case, see `kncal cases`.
-    folder
-        A folder that does not exist yet.
-    """
+def new(
+    case: Annotated[str, Parameter(help="name of a shipped case, see `kncal cases`")],
+    folder: Annotated[Path, Parameter(help="a folder that does not exist yet")],
+) -> None:
+    """Copy a shipped case as the start of your own."""
     from kncal.core.checks import one_of, plain_name
     from kncal.core.shipped import folder as resource
     from kncal.scene.case_file import shipped_cases
@@ -70,14 +60,8 @@ def _changed_from(case: str, text: str) -> str:
     return re.sub(r"(?m)^source = .*$", lambda _: f"source = {toml_value(source[:300])}", text, count=1)
 
 
-def needs(case: str, *, json: Json = False) -> None:
-    """Show which parts of the physics CASE needs, and why.
-
-    Parameters
-    ----------
-    case
-        A shipped case's name, a case folder or a case.toml.
-    """
+def needs(case: Case, *, json: Json = False) -> None:
+    """Show which parts of the physics CASE needs, and why."""
     from kncal.scene.case_file import load_case
     from kncal.scene.needs import decide
 
@@ -86,13 +70,8 @@ def needs(case: str, *, json: Json = False) -> None:
     if json:
         show.as_json(frame.to_dict(orient="records"))
         return
-    show.table(
-        f"What {case} needs",
-        list(frame.columns),
-        [[str(cell) for cell in row] for row in frame.itertuples(index=False)],
-        text=tuple(range(len(frame.columns))),
-        fold=True,
-    )
+    rows = [[str(cell) for cell in row] for row in frame.itertuples(index=False)]
+    show.words(f"What {case} needs", list(frame.columns), rows)
     show.say("To decide it yourself, write in the case file: [needs] tangential = true or false (or rolling)")
 
 
@@ -102,59 +81,38 @@ def doctor(*, json: Json = False) -> int:
 
     findings = examine()
     if json:
-        show.as_json([asdict(f) for f in findings])
+        show.as_json([asdict(f) | {"ok": f.ok} for f in findings])
     else:
-        show.table(
-            "This machine",
-            ["what", "", "found", "needed for", "what to do"],
-            [[f.name, "ok" if f.ok else "NO", f.found, f.needed_for, "" if f.ok else f.hint] for f in findings],
-            text=(0, 1, 2, 3, 4),
-            fold=True,
-        )
+        rows = [[f.name, "ok" if f.ok else "NO", f.found, f.needed_for, f.hint] for f in findings]
+        show.words("This machine", ["what", "", "found", "needed for", "what to do"], rows)
     return 4 if any(not f.ok and f.name.lower().startswith("liggghts") for f in findings) else 0
 
 
 def laws(*, json: Json = False) -> None:
     """List the contact laws, the methods for k_n and the drag laws, with sources and limits."""
-    from kncal.core.registry import Registry
     from kncal.physics.drag import DRAGS
     from kncal.physics.laws import LAWS
     from kncal.physics.methods import METHODS
 
+    lists: tuple[tuple[Any, str, dict[str, str]], ...] = (
+        (LAWS, "Contact laws", {"name": "law", "title": "what it is", "source": "source", "note": "note"}),
+        (
+            METHODS,
+            "Methods for k_n",
+            {"name": "method", "keeps": "keeps equal", "loses": "does not keep", "avoid": "not for"},
+        ),
+        (DRAGS, "Drag laws", {"name": "drag", "title": "what it is", "source": "source"}),
+    )
     if json:
-        keys: tuple[tuple[Registry[Any], tuple[str, ...]], ...] = (
-            (LAWS, ("name", "title", "source", "note")),
-            (METHODS, ("name", "title", "source", "keeps", "loses", "avoid")),
-            (DRAGS, ("name", "title", "source")),
-        )
-        show.as_json(
-            {
-                f"{found.what}s": [
-                    {key: getattr(entry, key) for key in wanted} | {"package": found.source(name)}
-                    for name, entry in found.items()
-                ]
-                for found, wanted in keys
-            }
-        )
+        found = {}
+        for entries, _, columns in lists:
+            keys = dict.fromkeys(("name", "title", "source", *columns))
+            found[f"{entries.what}s"] = [
+                {key: getattr(entry, key) for key in keys} | {"package": entries.source(name)}
+                for name, entry in entries.items()
+            ]
+        show.as_json(found)
         return
-    show.table(
-        "Contact laws",
-        ["law", "what it is", "source"],
-        [[w.name, f"{w.title}. {w.note}", w.source] for w in LAWS.values()],
-        text=(0, 1, 2),
-        fold=True,
-    )
-    show.table(
-        "Methods for k_n",
-        ["method", "keeps equal", "does not keep", "not for"],
-        [[m.name, m.keeps, m.loses, m.avoid] for m in METHODS.values()],
-        text=(0, 1, 2, 3),
-        fold=True,
-    )
-    show.table(
-        "Drag laws",
-        ["drag", "what it is", "source"],
-        [[d.name, d.title, d.source] for d in DRAGS.values()],
-        text=(0, 1, 2),
-        fold=True,
-    )
+    for entries, title, columns in lists:
+        rows = [[getattr(entry, key) for key in columns] for entry in entries.values()]
+        show.words(title, list(columns.values()), rows)

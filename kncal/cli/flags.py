@@ -28,10 +28,10 @@ ModelChoice = Annotated[
 ]
 Transport = Annotated[
     Literal["auto", "live", "restart"],
-    Parameter(help="with gas: how gas and particles exchange data; auto: live where its adapter is built"),
+    Parameter(help="with gas: how gas and particles exchange data; auto: live if its adapter is built"),
 ]
 Timeout = Annotated[float | None, Parameter(name="--timeout", help="wall-clock limit of each run [s]")]
-Workers = Annotated[int | None, Parameter(help="runs at the same time; default: one per core (and rank)")]
+Workers = Annotated[int | None, Parameter(help="number of runs at the same time; default: one per core (and rank)")]
 
 
 def several(name: str, text: str) -> Parameter:
@@ -65,11 +65,11 @@ class CaseFlags(Flags):
     """Which values of a case are replaced, and where the results go."""
 
     overrides: Annotated[
-        list[str] | None, several("--set", "KEY=VALUE replaces a value of the case file, e.g. run.end_time=0.2")
+        list[str] | None, several("--set", "KEY=VALUE: replace a value of the case file, e.g. run.end_time=0.2")
     ] = None
     out: Annotated[
         Path | None,
-        Parameter(help="folder of the results; default: runs/<case> here, and of a study runs/<case>_<study>"),
+        Parameter(help="folder of the results; default: runs/<case>, of a study runs/<case>_<study>"),
     ] = None
 
     def load(self, case: str, study: str = "") -> tuple[Scene | BedScene, Path]:
@@ -87,9 +87,7 @@ class EngineFlags(Flags):
 
     engine: Annotated[
         Literal["liggghts", "builtin", "liggghts-hooke"],
-        Parameter(
-            help="liggghts; builtin: only Python, few bodies; liggghts-hooke: LIGGGHTS' own strain-energy spring"
-        ),
+        Parameter(help="builtin: Python alone, for few bodies; liggghts-hooke: LIGGGHTS finds the stiffness itself"),
     ] = "liggghts"
     transport: Transport = "auto"
 
@@ -117,7 +115,7 @@ class RanksFlags(EngineFlags):
     """What simulates a case, on how many processes."""
 
     ranks: Annotated[
-        int, Parameter(name=("--ranks", "-n"), help="processes that share one run (MPI); with gas: only the gas")
+        int, Parameter(name=("--ranks", "-n"), help="processes that share one run (MPI); with gas: they share the gas")
     ] = 1
     oversubscribe: Annotated[bool, Parameter(negative="", help="allow more ranks than cores")] = False
 
@@ -170,11 +168,12 @@ class ContactFlags(Flags):
         float | None, Parameter(name=["--en", "--e-n"], help="normal coefficient of restitution, in (0, 1]")
     ] = None
     law: Annotated[str, Parameter(help="reference law, see `kncal laws`")] = "tsuji"
-    end: Annotated[Literal["overlap", "force"], Parameter(help="the contact ends at zero overlap or at zero force")] = (
-        "overlap"
-    )
+    end: Annotated[
+        Literal["overlap", "force"], Parameter(help="the contact ends at zero overlap, or at zero force")
+    ] = "overlap"
     against: Annotated[
-        Literal["sphere", "wall", "rigid-wall"], Parameter(help="a second sphere, a wall of a material, a rigid wall")
+        Literal["sphere", "wall", "rigid-wall"],
+        Parameter(help="a second sphere, a wall of a material, or a rigid wall"),
     ] = "sphere"
     young_2: Annotated[float | None, Parameter(help=_OF_SECOND)] = None
     poisson_2: Annotated[float | None, Parameter(help=_OF_SECOND)] = None

@@ -68,25 +68,24 @@ def examine() -> list[Finding]:
 def _adapter() -> Finding:
     from kncal.engines.dpmfoam.adapter_build import AdapterError, find
 
-    hint = "optional; kncal adapter build (downloads 45 MB, needs a C++ compiler)"
-    needed_for = "fast coupled beds: the gas solver is not started again for each coupling"
     try:
-        library = find()
+        library, found = find(), "not built"
     except AdapterError as error:
-        return Finding(name="adapter", ok=False, found=str(error), needed_for=needed_for, hint=hint)
-    if library is None:
-        return Finding(name="adapter", ok=False, found="not built", needed_for=needed_for, hint=hint)
-    return Finding(name="adapter", ok=True, found=str(library), needed_for=needed_for)
+        library, found = None, str(error)
+    return Finding(
+        name="adapter",
+        found=str(library or found),
+        needed_for="fast coupled beds: the gas solver is not started again for each coupling",
+        hint="" if library else "optional; kncal adapter build (downloads 45 MB, needs a C++ compiler)",
+    )
 
 
 def _python() -> Finding:
-    ok = sys.version_info >= (3, 11)
     return Finding(
         name="Python",
-        ok=ok,
         found=f"{platform.python_version()} ({sys.executable})",
         needed_for="everything",
-        hint="" if ok else "install Python 3.11 or newer",
+        hint="" if sys.version_info >= (3, 11) else "install Python 3.11 or newer",
     )
 
 
@@ -97,54 +96,49 @@ def _packages() -> list[Finding]:
     try:
         itself = metadata.distribution("kncal")
     except metadata.PackageNotFoundError:
-        return [
-            Finding(
-                name="kncal",
-                ok=False,
-                found="imported from a folder, not installed",
-                needed_for="the command `kncal`, and knowing which packages it requires",
-                hint="python -m pip install . (in kncal's folder), or make demo",
-            )
-        ]
-    findings = [Finding(name="kncal", ok=True, found=itself.version, needed_for="everything")]
-    for text in itself.requires or ():
-        required = Requirement(text)
-        if required.marker is None or required.marker.evaluate({"extra": ""}):
-            findings.append(_package(required.name, str(required.specifier)))
-    return findings
+        needed_for = "the command `kncal`, and knowing which packages it requires"
+        hint = "python -m pip install . (in kncal's folder), or make demo"
+        found = "imported from a folder, not installed"
+        return [Finding(name="kncal", found=found, needed_for=needed_for, hint=hint)]
+    required = [Requirement(text) for text in itself.requires or ()]
+    return [
+        Finding(name="kncal", found=itself.version, needed_for="everything"),
+        *(
+            _package(package.name, str(package.specifier))
+            for package in required
+            if package.marker is None or package.marker.evaluate({"extra": ""})
+        ),
+    ]
 
 
 def _package(name: str, specifier: str) -> Finding:
     """Whether package ``name`` is installed in a version that ``specifier`` (``>=3,<4``, or empty) allows."""
     from packaging.specifiers import SpecifierSet
 
-    try:
-        version = metadata.version(name)
-    except metadata.PackageNotFoundError:
-        version = ""
+    version, wanted = _version(name), f"{name}{specifier}"
     ok = bool(version) and SpecifierSet(specifier).contains(version, prereleases=True)
-    wanted = f"{name}{specifier}"
     return Finding(
         name=f"package {name}",
-        ok=ok,
         found=version if ok else f"{version or 'nothing'} where {wanted} is required",
         needed_for="everything",
         hint="" if ok else f"python -m pip install '{wanted}'",
     )
 
 
+def _version(package: str) -> str:
+    """Return the version of an installed package, "" if it is not installed."""
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return ""
+
+
 def _dask() -> Finding:
-    versions: dict[str, str] = {}
-    for name in ("distributed", "dask-jobqueue", "cryptography"):
-        try:
-            versions[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
-    ok = len(versions) == 3
-    found = ", ".join(f"{name} {version}" for name, version in versions.items())
+    names = ("distributed", "dask-jobqueue", "cryptography")
+    versions = {name: version for name in names if (version := _version(name))}
+    found, ok = ", ".join(f"{name} {version}" for name, version in versions.items()), len(versions) == len(names)
     return Finding(
         name="Dask",
-        ok=ok,
         found=found if ok else f"not installed{f' (only {found})' if found else ''}",
         needed_for="sweeps with --executor dask or slurm; one machine does not need it",
         hint="" if ok else "pip install 'kncal[dask]'",
@@ -152,20 +146,20 @@ def _dask() -> Finding:
 
 
 def _slurm() -> Finding:
-    needed_for = "sweeps in Slurm jobs; where there is no Slurm nothing is missing"
-    path = shutil.which("sbatch")
+    path, hint = shutil.which("sbatch"), ""
     if path is None:
-        hint = "only on a cluster with Slurm: work on a node where jobs are submitted"
-        return Finding(name="Slurm", ok=False, found="no sbatch on PATH", needed_for=needed_for, hint=hint)
-    failure, text = ask(["sinfo", "--noheader", "--format=%R"], SOLVER_LIMIT, os.environ)
-    if failure:
-        found = f"{path}, but sinfo {failure}: {last_line(text)}"
-        hint = "see that slurm.conf (SLURM_CONF) is the cluster's, and that its controller runs"
-        return Finding(name="Slurm", ok=False, found=found, needed_for=needed_for, hint=hint)
-    _, version = ask([path, "--version"], SOLVER_LIMIT, os.environ)
-    queues = ", ".join(sorted({line.strip() for line in text.splitlines() if line.strip()}))
-    found = f"{last_line(version).removeprefix('slurm ')} ({path}), partitions: {queues[:200] or 'none'}"
-    return Finding(name="Slurm", ok=True, found=found, needed_for=needed_for)
+        found, hint = "no sbatch on PATH", "only on a cluster with Slurm: work on a node where jobs are submitted"
+    else:
+        failure, text = ask(["sinfo", "--noheader", "--format=%R"], SOLVER_LIMIT, os.environ)
+        if failure:
+            found = f"{path}, but sinfo {failure}: {last_line(text)}"
+            hint = "see that slurm.conf (SLURM_CONF) is the cluster's, and that its controller runs"
+        else:
+            _, version = ask([path, "--version"], SOLVER_LIMIT, os.environ)
+            queues = ", ".join(sorted({line.strip() for line in text.splitlines() if line.strip()}))[:200]
+            found = f"{last_line(version).removeprefix('slurm ')} ({path}), partitions: {queues or 'none'}"
+    needed_for = "sweeps in Slurm jobs; where there is no Slurm nothing is missing"
+    return Finding(name="Slurm", found=found, needed_for=needed_for, hint=hint)
 
 
 def _mpirun() -> Finding:
@@ -184,7 +178,7 @@ def _mpirun() -> Finding:
     if not problem:
         return replace(finding, found=f"{finding.found}, starts two ranks")
     hint = "runs on one rank are not concerned; what it says is mostly about the machine's network or temporary folder"
-    return replace(finding, ok=False, found=f"{finding.found}, but two ranks do not start: {problem}", hint=hint)
+    return replace(finding, found=f"{finding.found}, but two ranks do not start: {problem}", hint=hint)
 
 
 def _two_ranks() -> str:
@@ -213,7 +207,6 @@ def _rendering() -> Finding:
         mend = f"try again, the first start is the slowest; if that does not help: {mend}"
     return Finding(
         name="off-screen rendering",
-        ok=drawn is not None,
         found=drawn.group(1) if drawn else f"the trial {failure or 'drew nothing'}: {last_line(text)}",
         needed_for="3-D pictures; diagrams do not need it",
         hint="" if drawn else mend,
@@ -225,7 +218,6 @@ def _disk(where: Path, room: float) -> Finding:
     ok = free >= room
     return Finding(
         name="free disk space",
-        ok=ok,
         found=f"{free / 1e9:.1f} GB in {where}",
         needed_for="recorded frames and reports; a full disk ruins a run",
         hint="" if ok else f"make room: at least {room / 1e9:g} GB, or work in another folder",
@@ -242,7 +234,6 @@ def _shipped(name: str, pattern: str, needed_for: str) -> Finding:
         found = f"{count} in {place}"
     return Finding(
         name=name,
-        ok=count > 0,
         found=found,
         needed_for=needed_for,
         hint="" if count else "the installation is incomplete: python -m pip install --force-reinstall kncal",
@@ -258,7 +249,6 @@ def _temporary_folder() -> Finding:
         found, ok = str(error), False
     return Finding(
         name="temporary folder",
-        ok=ok,
         found=found,
         needed_for="several ranks of a solver, and Python itself",
         hint="" if ok else "set TMPDIR to a folder that you can write to and that has room",

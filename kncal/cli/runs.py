@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from kncal.cli import show
-from kncal.cli.flags import CaseFlags, Flags, Json, ModelChoice, RanksFlags, Timeout, kinds, refuse_ignored
+from kncal.cli.flags import Case, CaseFlags, Flags, Json, ModelChoice, RanksFlags, Timeout, kinds, refuse_ignored
 from kncal.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ Trust = Annotated[
     Path | None,
     Parameter(
         name="--trust-templates",
-        help="folder of your own templates, used instead of kncal's of the same name; solvers execute what they say",
+        help="folder of your own templates, in place of kncal's of the same name; solvers execute what they say",
     ),
 ]
 
@@ -35,30 +35,26 @@ class RunFlags(Flags):
     """How models are run, and what is written of them."""
 
     timeout: Timeout = None
-    repeat: Annotated[int, Parameter(help="run each model so many times, for the spread of its CPU time")] = 1
+    repeat: Annotated[int, Parameter(help="number of runs of each model, for the spread of its CPU time")] = 1
     rerun: Annotated[
-        bool, Parameter(negative="", help="run again what is complete; start again what could be resumed")
+        bool,
+        Parameter(negative="", help="run all from the start, also what is complete or could be resumed"),
     ] = False
     paraview: Annotated[bool, Parameter(negative="", help="also write frames for ParaView")] = False
     trust_templates: Trust = None
 
 
 def render(
-    case: str,
+    case: Case,
     *,
     model: ModelChoice = "both",
     at: CaseFlags | None = None,
     by: RanksFlags | None = None,
     trust_templates: Trust = None,
 ) -> None:
-    """Write the solver input of CASE: a folder per model that runs by hand with ./Allrun.
+    """Write the solver input of CASE: one folder per model, which runs by hand with ./Allrun.
 
-    With gas, the particles' deck and the gas case each run by hand; the exchange between them needs `kncal run`.
-
-    Parameters
-    ----------
-    case
-        A shipped case's name, a case folder or a case.toml.
+    With gas, the deck of the particles and the case of the gas each run by hand, alone. Both together need `kncal run`.
     """
     from kncal.engines.coupled import README
     from kncal.runs.workflow import render_case
@@ -80,11 +76,11 @@ def render(
     for text in warnings_of(models):
         show.say(f"  warning: {text}")
     if (folder / next(iter(models)) / README).is_file():
-        show.say(f"Gas and particles each run by hand (see {README}); the exchange between them needs kncal run.")
+        show.say(f"Gas and particles each run by hand, alone (see {README}). Both together need kncal run.")
 
 
 def run(
-    case: str,
+    case: Case,
     *,
     model: ModelChoice = "both",
     at: CaseFlags | None = None,
@@ -92,13 +88,7 @@ def run(
     how: RunFlags | None = None,
     json: Json = False,
 ) -> None:
-    """Render and run CASE, and print what was observed.
-
-    Parameters
-    ----------
-    case
-        A shipped case's name, a case folder or a case.toml.
-    """
+    """Write the solver input of CASE, run it, and print what the runs show."""
     from kncal.runs.workflow import load, remarks
     from kncal.scene.limits import warnings_of
 
@@ -125,22 +115,19 @@ def run(
 
 
 def compare(
-    first: str,
-    second: Path | None = None,
+    first: Annotated[
+        str, Parameter(help="a case (name of a shipped one, folder, case.toml); with SECOND: folder of the linear run")
+    ],
+    second: Annotated[Path | None, Parameter(help="folder of the Hertz run: compare two runs that are there")] = None,
     *,
     at: CaseFlags | None = None,
     by: RanksFlags | None = None,
     how: RunFlags | None = None,
     json: Json = False,
 ) -> int:
-    """Run CASE with the linear and the Hertz contact and compare; exit code 0 within the tolerances, 1 outside.
+    """Run a case with the linear and with the Hertz contact, and compare. Or compare two runs.
 
-    Parameters
-    ----------
-    first
-        A case (shipped name, folder, case.toml); with SECOND, the folder of the linear run.
-    second
-        The folder of the Hertz run, to compare two runs that exist already.
+    Exit code 0: within the tolerances; 1: outside, or undecided.
     """
     from kncal.runs.workflow import compare_case, compare_runs, load_pair
 
@@ -161,27 +148,22 @@ def compare(
     return 0 if comparison.within else 1
 
 
-def report(folder: Path, *, out: Annotated[Path | None, Parameter(name="--out")] = None) -> None:
-    """Write the report of a run folder that holds both models.
-
-    Parameters
-    ----------
-    folder
-        The run folder of a case (holds linear/ and hertz/).
-    out
-        Folder of the report; default FOLDER/report.
-    """
+def report(
+    folder: Annotated[Path, Parameter(help="run folder of a case: it holds linear/ and hertz/")],
+    *,
+    out: Annotated[Path | None, Parameter(help="folder of the report; default: FOLDER/report")] = None,
+) -> None:
+    """Write the report of a run folder that holds both models."""
     from kncal.runs.states import command_of
     from kncal.runs.workflow import compare_case
 
     if command := command_of(folder):
         raise InputError(
-            f"{folder}: made by {command}, so it is not the run folder of one case; run the same {command} again: it "
-            "writes its report again, and runs nothing that is done"
+            f"{folder}: made by {command}, so it is not the run folder of one case: run the same {command} again: it "
+            "writes its report and keeps the runs that are complete"
         )
     comparison, page = compare_case(folder, out)
-    for sentence in comparison.verdict.all:
-        show.say(sentence)
+    _say_verdict(comparison)
     show.say(f"report: {page}")
 
 
@@ -261,5 +243,13 @@ def _print_comparison(comparison: Comparison) -> None:
         rows.append([name, *(show.quantity(getattr(cost, name), unit) for cost in comparison.costs), "", "", ""])
     columns = ["metric", "linear", "hertz", "difference", "tolerance", ""]
     show.table(f"{comparison.reference.model.scene.name}: linear against Hertz", columns, rows)
-    for sentence in comparison.verdict.all:
-        show.say(sentence)
+    _say_verdict(comparison)
+
+
+def _say_verdict(comparison: Comparison) -> None:
+    verdict = comparison.verdict
+    show.say(verdict.sentence)
+    for text in verdict.points:
+        show.say(f"- {text}")
+    for text in verdict.details:
+        show.say(f"  {text}")

@@ -64,6 +64,11 @@ def percent(share: float | None) -> str:
     return in_percent(share)
 
 
+def words(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    """Print a table of text, wrapped to the terminal."""
+    table(title, columns, rows, text=range(len(columns)), fold=True)
+
+
 def table(
     title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], *, text: Sequence[int] = (0,), fold: bool = False
 ) -> None:
@@ -97,9 +102,9 @@ def note(text: str) -> None:
 
 
 def as_json(data: Any) -> None:
-    """Print ``data`` as JSON; refuses NaN."""
+    """Print ``data`` as JSON, paths as text; refuses NaN."""
     utf8 = (getattr(sys.stdout, "encoding", None) or "utf-8").lower().replace("-", "") == "utf8"
-    text = json.dumps(data, indent=2, ensure_ascii=not utf8, allow_nan=False)
+    text = json.dumps(data, indent=2, ensure_ascii=not utf8, allow_nan=False, default=os.fspath)
     _JSON_PRINTED.set(True)
     print(text)
 

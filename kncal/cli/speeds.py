@@ -24,7 +24,7 @@ FromRun = Annotated[
     Path | None,
     Parameter(
         name="--from-run",
-        help="a model's run folder, or a case's with both: the impact speeds it had, and k_n at them",
+        help="run folder of a case or of one model: calibrate at the impact speeds that it had",
     ),
 ]
 Uncertain = Annotated[
@@ -32,12 +32,13 @@ Uncertain = Annotated[
     Parameter(
         name="--uncertain",
         negative="",
-        help="KEY=5%, KEY=LOW:HIGH or KEY=log:LOW:HIGH for young, poisson, density, radius, e_n or v_0 (may be "
-        "repeated): the distribution of k_n; with --from-run v_0 is as measured",
+        help="an uncertain input: KEY=5%, KEY=LOW:HIGH or KEY=log:LOW:HIGH; prints the distribution of k_n; KEY: "
+        "young, poisson, density, radius, e_n, v_0 (may be repeated); with --from-run v_0 is as measured",
     ),
 ]
 Picture = Annotated[
-    Path | None, Parameter(name="--picture", help="with --from-run: draw the impact speeds into this .png or .svg")
+    Path | None,
+    Parameter(name="--picture", help="with --from-run: picture of the impact speeds (.png or .svg)"),
 ]
 
 _WHO = {"particles": "two particles", "walls": "a particle and a wall", "all": "all contacts"}

@@ -4,34 +4,26 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from kncal.cli import show
+from kncal.cli.flags import Json
 from kncal.core.errors import InputError
 
 if TYPE_CHECKING:
     from kncal.runs.states import RunState
 
+Folder = Annotated[Path, Parameter(help="a run folder, or a folder that holds run folders")]
 #: What to do about a failure that has no name, or one that this kncal does not know.
 _ELSE = "read its log, then run the same command again"
 #: Runs that fit on one screen.
 _ROWS = 30
 
 
-def status(
-    folder: Path = Path("runs"),
-    *,
-    json: Annotated[bool, Parameter(name="--json", negative="", help="print data for machines")] = False,
-) -> None:
-    """Show which runs are running, completed or failed, why they failed, and what to do.
-
-    Parameters
-    ----------
-    folder
-        A run folder, or one that holds run folders.
-    """
+def status(folder: Folder = Path("runs"), *, json: Json = False) -> None:
+    """Show which runs are running, completed or failed; why they failed, and what to do."""
     from dataclasses import asdict
 
     from kncal.runs.states import case_states, command_of, find_run_folders
@@ -44,7 +36,7 @@ def status(
         return
     states = [state for out in find_run_folders(folder) for state in case_states(out)]
     if json:
-        show.as_json([asdict(state) | {"folder": str(state.folder)} for state in states])
+        show.as_json([asdict(state) for state in states])
         return
     page = folder / "report" / "index.html"
     if command := command_of(folder):
@@ -56,18 +48,13 @@ def status(
 
 
 def clean(
-    folder: Path = Path("runs"),
+    folder: Folder = Path("runs"),
     *,
     yes: Annotated[bool, Parameter(name="--yes", negative="", help="do not ask")] = False,
 ) -> None:
-    """Remove earlier attempts, and working files of completed beds; asks first, never touches a running case.
+    """Remove earlier attempts, and the working files of completed runs with gas. Asks first.
 
-    The working files of a completed bed include the logs of its solvers.
-
-    Parameters
-    ----------
-    folder
-        A run folder, or one that holds run folders.
+    Working files include the logs of the solvers. A case that is running is not touched.
     """
     from kncal.runs.cleaning import clean as remove
     from kncal.runs.cleaning import plan_cleaning
@@ -98,7 +85,7 @@ def _sweep(folder: Path, *, json: bool) -> None:
 
     found = sweep_status(folder)
     if json:
-        show.as_json(_plain(asdict(found)))
+        show.as_json(asdict(found))
         return
     counts = ", ".join(f"{number} {name.replace('_', ' ')}" for name, number in found.counts.items())
     show.say(f"{folder}: sweep of {found.name}, {found.total} runs: {counts}")
@@ -116,14 +103,6 @@ def _sweep(folder: Path, *, json: bool) -> None:
         show.say(f"running: {run.id} by pid {run.pid} on {run.host}")
     for failure in found.newest:
         show.say(f"{failure.folder}: {failure.message or failure.failure}")
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _plain(item) for name, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    return str(value) if isinstance(value, Path) else value
 
 
 def _agreed(question: str) -> bool:

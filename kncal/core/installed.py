@@ -26,17 +26,20 @@ class Finding:
     Attributes
     ----------
     name : what was looked for
-    ok : whether it is there and fit for use
     found : version and place, or what is wrong
     needed_for : what does not work without it
-    hint : how to mend it, empty if ``ok``
+    hint : how to mend it, empty if it is there and fit for use
     """
 
     name: str
-    ok: bool
     found: str
     needed_for: str
     hint: str = ""
+
+    @property
+    def ok(self) -> bool:
+        """Whether it is there and fit for use."""
+        return not self.hint
 
 
 def ask_version(
@@ -53,19 +56,21 @@ def ask_version(
     mend = f"apt-get install {package}"
     path = shutil.which(program)
     if path is None:
-        return Finding(name=title, ok=False, found=f"no {program} on PATH", needed_for=needed_for, hint=mend)
+        return Finding(name=title, found=f"no {program} on PATH", needed_for=needed_for, hint=mend)
     failure, text = ask([path, *arguments], SOLVER_LIMIT, solver_environment())
     match = re.search(pattern, text)
     if match is None or failure:
         found = f"{path} {failure or 'does not say its version'}: {last_line(text)}"
         hint = f"start {path} by hand; if it is broken: {mend} --reinstall"
-        return Finding(name=title, ok=False, found=found, needed_for=needed_for, hint=hint)
+        return Finding(name=title, found=found, needed_for=needed_for, hint=hint)
     version, *build = (group for group in match.groups() if group)
-    found = f"{' '.join([version, *build])} ({path})"
-    if wanted is not None and version != wanted:
-        hint = f"kncal is written for version {wanted}, that of Debian 12: {mend}"
-        return Finding(name=title, ok=False, found=found, needed_for=needed_for, hint=hint)
-    return Finding(name=title, ok=True, found=found, needed_for=needed_for)
+    wrong = wanted is not None and version != wanted
+    return Finding(
+        name=title,
+        found=f"{' '.join([version, *build])} ({path})",
+        needed_for=needed_for,
+        hint=f"kncal is written for version {wanted}, that of Debian 12: {mend}" if wrong else "",
+    )
 
 
 def ask(command: list[str], limit: float, environment: Mapping[str, str]) -> tuple[str, str]:

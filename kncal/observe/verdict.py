@@ -114,7 +114,7 @@ def verdict(
 
 def _judgement(linear: Plan[Any], hertz: Plan[Any], rows: Sequence[Row], within: str) -> str:
     laws = ", ".join(dict.fromkeys(c.law for c in hertz.contacts.values())) or hertz.kind
-    who = f"in {hertz.scene.name} the linear spring ({spring(linear)})"
+    who = f"the linear spring ({spring(linear)})"
     judged = [r for r in rows if r.tolerance is not None]
     if not judged:
         return f"Not judged: no tolerance is given; {who} was compared with {laws}, the differences are below."
@@ -122,37 +122,38 @@ def _judgement(linear: Plan[Any], hertz: Plan[Any], rows: Sequence[Row], within:
     undecided = [r for r in judged if r.verdict == "undecided"]
     if failed:
         texts = [
-            f"{r.metric} by {difference_text(r)} ({allowed(r.tolerance)} allowed)"
-            if r.verdict == "outside"
-            else f"{r.metric} could not be computed ({r.reason})"
+            _told(r) if r.verdict == "outside" else f"{r.metric}, which could not be computed ({r.reason})"
             for r in failed
         ]
-        rest = f"; {len(undecided)} more undecided" if undecided else ""
+        rest = f"; {len(undecided)} undecided" if undecided else ""
         how_many = f"{len(failed)} of {len(judged)} metrics judged"
-        return f"Outside tolerance: {who} fails against {laws} in {how_many}: {'; '.join(texts)}{rest}."
+        return f"Outside tolerance: {who} does not agree with {laws} in {how_many}: {', '.join(texts)}{rest}."
     if undecided:
-        texts = [f"{r.metric} {difference_text(r)} ({allowed(r.tolerance)} allowed)" for r in undecided]
         why, remedy = _remedy(undecided)
-        ok = f"{len(judged) - len(undecided)} of {len(judged)} metrics judged agree"
-        return f"Undecided: {who} against {laws}: {ok}, {why} {'; '.join(texts)}: {remedy}."
+        agree = (
+            f"; {len(judged) - len(undecided)} of {len(judged)} metrics agree" if len(undecided) < len(judged) else ""
+        )
+        return f"Undecided: {why} {', '.join(map(_told, undecided))}: {remedy}{agree}."
     count = "the one metric" if len(judged) == 1 else f"all {len(judged)} metrics"
     nearest = max(judged, key=lambda r: r.reach)
-    return (
-        f"{within}: {who} agrees with {laws} in {count} judged; closest to its limit:"
-        f" {nearest.metric}, {difference_text(nearest)} where {allowed(nearest.tolerance)} is allowed."
-    )
+    return f"{within}: {who} agrees with {laws} in {count} judged; closest to its limit: {_told(nearest)}."
+
+
+def _told(row: Row) -> str:
+    """Return a judged row in words: "e_n +1.2 ± 0.4 % (±2 % allowed)"."""
+    return f"{row.metric} {difference_text(row)} ({allowed(row.tolerance)} allowed)"
 
 
 def _remedy(undecided: Sequence[Row]) -> tuple[str, str]:
     """Return why rows are undecided, in words that precede them, and what to do."""
     if not any(r.difference.chance for r in undecided):
         steps = "take more steps per contact (run.steps_per_contact), or allow more"
-        return "the error of the time step is too large for", steps
+        return "the error of the time step is too large to judge", steps
     if (end := needed_end(undecided)) is not None:
-        return "the runs are too short for", f"run until about {end:.3g} s (run.end_time) to decide"
+        return "the runs are too short to judge", f"run until about {end:.3g} s (run.end_time)"
     if not any(_by_length(r) for r in undecided):
-        return "too uncertain is", "let it come to its end, or allow more"
-    return "the runs are too short for", "run much longer, or allow more"
+        return "it is not known well enough to judge", "let the run come to its end, or allow more"
+    return "the runs are too short to judge", "run much longer, or allow more"
 
 
 def _by_length(row: Row) -> bool:
@@ -334,8 +335,8 @@ def _doubts(rows: Sequence[Row]) -> list[str]:
     if not doubted:
         return []
     return [
-        f"Uncertainties not to be relied upon (taken three times as wide before they decide): {', '.join(doubted)}."
-        " The runs are short for them, or still drift."
+        f"Uncertainty not reliable, so taken three times as wide: {', '.join(doubted)}."
+        " The runs are too short for it, or still drift."
     ]
 
 

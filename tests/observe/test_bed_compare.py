@@ -76,7 +76,7 @@ def test_a_known_difference_is_found_with_its_size(different):
     assert different.row("z_mean").verdict == "ok"
     assert different.state == "outside"
     assert not different.within
-    assert "overlap_mean by +2" in different.verdict.sentence
+    assert "overlap_mean +2" in different.verdict.sentence
 
 
 def test_equal_beds_are_called_different_at_the_stated_rate():
