@@ -9,7 +9,7 @@ import pytest
 from kncal.cli import main
 from kncal.core.errors import InputError
 from kncal.study.folders import refuse_other
-from kncal.study.trim.workflow import TrimOptions, trim
+from kncal.study.trim.run import TrimOptions, trim
 
 CASE = Path(__file__).parents[2] / "cases" / "falling_particle" / "case.toml"
 QUICK = TrimOptions(engine="builtin", rounds=1, parts=("damping",))
