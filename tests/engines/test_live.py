@@ -156,7 +156,7 @@ def test_either_transport_goes_on_from_what_the_other_saved(tmp_path: Path, adap
         with closing(second):
             second.load(tmp_path / saved)
             toy.advance(second, 4)
-        assert same(toy.steps, whole.steps[4:]), f"saved {saved}, continued by {second.name}"
+        assert same(toy.steps, whole.steps[4:]), f"saved {saved}, continued by {type(second).__name__}"
 
 
 def test_state_can_be_taken_up_and_given_only_when_there_is_one(tmp_path: Path, adapter: Path) -> None:

@@ -1,36 +1,25 @@
-"""The fast gas transport: one stock DPMFoam kept alive, its parcels replaced in memory between two of its steps.
+"""The fast gas solver: one stock DPMFoam kept alive, its parcels replaced in memory between two of its steps.
 
 A small function object library inside the solver (see `kncal.engines.dpmfoam.adapter_build`) publishes the gas and the
-parcels' velocities after each step and waits. The numbers are those of the restart transport, bit for bit: in both,
-the solver starts a step from the same fields and parcels, and both use `kncal.engines.dpmfoam.forces`.
+parcels' velocities after each step and waits. The numbers are those of `kncal.engines.dpmfoam.restart`, bit for bit: in
+both, the solver starts a step from the same fields and parcels, and both use `kncal.engines.dpmfoam.forces`.
 """
 
 from __future__ import annotations
 
 import os
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
-from kncal.core.checks import Array, in_range, positive
-from kncal.core.errors import InputError, RunError
+from kncal.core.checks import Array
+from kncal.core.errors import InputError
 from kncal.core.solver_process import PeerLostError, SolverProcess
 from kncal.engines.base import GasSetup
 from kncal.engines.dpmfoam.adapter_build import LIBRARY, AdapterError
-from kncal.engines.dpmfoam.case import (
-    SOLVER,
-    STATE,
-    case_environment,
-    inlet_velocity,
-    install_state,
-    make_mesh,
-    process_error,
-    set_case_inlet,
-    write_case,
-)
-from kncal.engines.dpmfoam.forces import Exchange
+from kncal.engines.dpmfoam.case import SOLVER, case_environment, process_error
+from kncal.engines.dpmfoam.foam import FoamGas, lost_parcels
 from kncal.engines.dpmfoam.memory import ExchangeMemory
-from kncal.record.steps import GasFields, GasStep
+from kncal.record.steps import GasStep
 
 _END, _STEP, _SAVE = 0, 1, 2  # commands of the adapter
 _NEVER = 1_000_000_000  # steps between written time folders
@@ -39,7 +28,7 @@ _NEVER = 1_000_000_000  # steps between written time folders
 _FUNCTIONS = f'libs ("{LIBRARY}");\nfunctions {{ exchange {{ type kncalExchange; }} }}'
 
 
-class LiveGas:
+class LiveGas(FoamGas):
     """One DPMFoam for all gas steps. It starts with the first step and ends with `close`, or with the calling thread.
 
     Parameters
@@ -66,8 +55,6 @@ class LiveGas:
         If the mesh cannot be made (SolverMissingError: OpenFOAM is not installed).
     """
 
-    name = "live"
-
     def __init__(
         self,
         setup: GasSetup,
@@ -84,18 +71,12 @@ class LiveGas:
             raise AdapterError(
                 f"{library}: expected the adapter {LIBRARY}, there is none; kncal adapter build makes it"
             )
-        self.setup = setup
-        self._folder = folder.absolute()
+        rare = {"write_interval": _NEVER, "functions": _FUNCTIONS}
+        super().__init__(setup, folder, time_limit=time_limit, pass_fds=pass_fds, **rare)
         self._library = library.absolute()
-        self._time_limit = float(positive("time_limit", time_limit, unit="s"))
-        self._pass_fds = tuple(pass_fds)
-        write_case(setup, self._folder, end_time=setup.step, write_interval=_NEVER, functions=_FUNCTIONS)
-        self._cpu = make_mesh(self._folder)
         self._exchange_cpu = 0.0
-        self._exchange = Exchange(setup)
-        self._inlet = inlet_velocity(setup)
         self._solver: SolverProcess | None = None
-        self._attached = self._stepped = self._closed = False
+        self._attached = False
         grid = self._exchange.grid
         self._memory = ExchangeMemory(n_max * setup.parcels_per_particle, grid.count, grid.inlet_faces)
 
@@ -124,11 +105,7 @@ class LiveGas:
         self._stepped = True
         if (returned := self._memory.count()) != count:
             self.close()
-            raise RunError(
-                f"{SOLVER} returned {returned} of {count} parcels: the others left the mesh during the gas step; "
-                "shorten the step (a particle may not move more than half its diameter in it)",
-                "lost-particles",
-            )
+            raise lost_parcels(returned, count)
         take = self._memory.take
         return self._exchange.finish(
             parcels,
@@ -141,51 +118,15 @@ class LiveGas:
             p_in=float(take("p_inlet").mean()),
         )
 
-    def set_inlet(self, velocity: float) -> None:
-        """Change the superficial velocity at the inlet (of a jet: in its slot) for the following steps [m/s]."""
-        self._check_open()
-        self._inlet = float(in_range("velocity", velocity, 0.0, 1e3, unit="m/s"))
+    def _apply_inlet(self) -> None:
         if self._solver is None:
-            set_case_inlet(self.setup, self._folder, self._inlet)
+            super()._apply_inlet()
         else:
             self._memory.set_inlet(self._inlet)
 
-    def fields(self) -> GasFields:
-        """Return the gas fields after the last step; RunError before the first."""
-        return self._exchange.fields()
-
-    def save(self, folder: Path) -> None:
-        """Write the gas state after the last step into ``folder`` (made if missing): binary fields of OpenFOAM.
-
-        Raises
-        ------
-        RunError
-            Before the first step; or if the solver fails.
-        """
-        if not self._stepped:
-            raise RunError("there is no gas state to save before the first gas step")
+    def _state(self) -> Path:
         self._command(self._running(), _SAVE)
-        folder.mkdir(parents=True, exist_ok=True)
-        for name in STATE:
-            shutil.copyfile(self._folder / "state" / name, folder / name)
-
-    def load(self, folder: Path) -> None:
-        """Take up a state that `save` of either transport wrote, before the first `step`.
-
-        The inlet velocity is not taken from it: it stays that of the set-up, or of `set_inlet`.
-
-        Raises
-        ------
-        RunError
-            After the first step.
-        ReadError
-            If the state is not complete, or of another mesh.
-        """
-        self._check_open()
-        if self._solver is not None:
-            raise RunError("a gas state can only be loaded before the first gas step; make a new transport for it")
-        self._exchange.U_old = install_state(folder, self._folder, self._exchange.grid.count)
-        set_case_inlet(self.setup, self._folder, self._inlet)
+        return self._folder / "state"
 
     @property
     def cpu_seconds(self) -> float:
@@ -251,7 +192,3 @@ class LiveGas:
         except BaseException:
             self.close()
             raise
-
-    def _check_open(self) -> None:
-        if self._closed:
-            raise RunError("this gas transport was closed; make a new one and load the saved state")

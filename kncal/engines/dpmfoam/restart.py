@@ -1,4 +1,4 @@
-"""The gas transport that needs nothing but the stock solver: DPMFoam is started again for every step.
+"""The gas solver that needs nothing but the stock program: DPMFoam is started again for every step.
 
 The gas state between two steps is three files in ``<case>/0``. A start costs about a tenth of a second, most of it the
 loading of the solver's libraries; a folder in memory (tmpfs) is best.
@@ -13,24 +13,14 @@ from pathlib import Path
 
 import numpy as np
 
-from kncal.core.checks import Array, in_range, positive
+from kncal.core.checks import Array
 from kncal.core.errors import RunError
 from kncal.core.mpi import check_ranks
 from kncal.engines.base import GasSetup
-from kncal.engines.dpmfoam.case import (
-    INLET,
-    SOLVER,
-    STATE,
-    case_environment,
-    inlet_velocity,
-    install_state,
-    make_mesh,
-    process_error,
-    set_case_inlet,
-    write_case,
-)
+from kncal.engines.dpmfoam.case import INLET, SOLVER, STATE, case_environment, process_error
 from kncal.engines.dpmfoam.decomposed import decompose, reconstruct, run_in_folder
-from kncal.engines.dpmfoam.forces import Exchange, Parcels
+from kncal.engines.dpmfoam.foam import FoamGas, lost_parcels
+from kncal.engines.dpmfoam.forces import Parcels
 from kncal.record.openfoam import (
     CLOUD,
     read_cells,
@@ -39,10 +29,10 @@ from kncal.record.openfoam import (
     write_parcel_constants,
     write_parcel_motion,
 )
-from kncal.record.steps import GasFields, GasStep
+from kncal.record.steps import GasStep
 
 
-class RestartGas:
+class RestartGas(FoamGas):
     """Stock DPMFoam, started anew for every gas step.
 
     Parameters
@@ -67,8 +57,6 @@ class RestartGas:
         If the mesh cannot be made (SolverMissingError: OpenFOAM is not installed).
     """
 
-    name = "restart"
-
     def __init__(
         self,
         setup: GasSetup,
@@ -79,18 +67,11 @@ class RestartGas:
         oversubscribe: bool = False,
         pass_fds: Sequence[int] = (),
     ) -> None:
-        self.setup = setup
         self._ranks, self._oversubscribe = check_ranks(ranks, oversubscribe=oversubscribe), oversubscribe
-        self._folder = folder.absolute()
-        self._pass_fds = tuple(pass_fds)
-        self._time_limit = float(positive("time_limit", time_limit, unit="s"))
-        write_case(setup, self._folder, end_time=setup.step, write_interval=1, ranks=ranks, oversubscribe=oversubscribe)
-        self._cpu = make_mesh(self._folder)
-        self._exchange = Exchange(setup)
-        self._inlet = inlet_velocity(setup)
-        self._stepped = False
+        super().__init__(
+            setup, folder, time_limit=time_limit, pass_fds=pass_fds, ranks=ranks, oversubscribe=oversubscribe
+        )
         self._written: tuple[Array, Array, Array] | None = None
-        self._closed = False
 
     def step(self, x: Array, v: Array, diameter: Array, density: Array) -> GasStep:
         """Advance the gas by one step with particles at ``x``, ``v`` (n, 3), of ``diameter``, ``density`` (n,).
@@ -100,8 +81,7 @@ class RestartGas:
         RunError
             If DPMFoam fails, takes too long or loses a parcel, with its own error text; or after `close`.
         """
-        if self._closed:
-            raise RunError("this gas transport was closed; make a new one and load the saved state")
+        self._check_open()
         parcels = self._exchange.parcels(x, v, diameter, density)
         self._write(parcels)
         # The name that the solver gives to the time: %g with timePrecision digits.
@@ -114,54 +94,8 @@ class RestartGas:
         self._stepped = True
         return result
 
-    def set_inlet(self, velocity: float) -> None:
-        """Change the superficial velocity at the inlet (of a jet: in its slot) for the following steps [m/s]."""
-        self._inlet = float(in_range("velocity", velocity, 0.0, 1e3, unit="m/s"))
-        set_case_inlet(self.setup, self._folder, self._inlet)
-
-    def fields(self) -> GasFields:
-        """Return the gas fields after the last step; RunError before the first."""
-        return self._exchange.fields()
-
-    def save(self, folder: Path) -> None:
-        """Write the gas state after the last step into ``folder`` (made if missing): binary fields of OpenFOAM.
-
-        Raises
-        ------
-        RunError
-            Before the first step.
-        """
-        if not self._stepped:
-            raise RunError("there is no gas state to save before the first gas step")
-        folder.mkdir(parents=True, exist_ok=True)
-        for name in STATE:
-            shutil.copyfile(self._start / name, folder / name)
-
-    def load(self, folder: Path) -> None:
-        """Take up a state that `save` of either transport wrote, before the first `step`.
-
-        The inlet velocity is not taken from it: it stays that of the set-up, or of `set_inlet`.
-
-        Raises
-        ------
-        RunError
-            After the first step.
-        ReadError
-            If the state is not complete, or of another mesh.
-        """
-        if self._stepped:
-            raise RunError("a gas state can only be loaded before the first gas step; make a new transport for it")
-        self._exchange.U_old = install_state(folder, self._folder, self._exchange.grid.count)
-        set_case_inlet(self.setup, self._folder, self._inlet)
-
-    @property
-    def cpu_seconds(self) -> float:
-        """CPU time of OpenFOAM's processes so far [s]."""
-        return self._cpu
-
-    def close(self) -> None:
-        """End the use of the case folder; no process lives between two steps."""
-        self._closed = True
+    def _state(self) -> Path:
+        return self._start
 
     @property
     def _start(self) -> Path:
@@ -217,11 +151,7 @@ class RestartGas:
             return np.zeros((0, 3))
         row = read_list(cloud / "origId")
         if len(row) != sent or not np.array_equal(np.sort(row), np.arange(sent)):
-            raise RunError(
-                f"{SOLVER} returned {len(row)} of {sent} parcels: the others left the mesh during the gas step; "
-                "shorten the step (a particle may not move more than half its diameter in it)",
-                "lost-particles",
-            )
+            raise lost_parcels(len(row), sent)
         velocities = np.empty((sent, 3))
         velocities[row] = read_list(cloud / "U")
         return velocities
