@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 import resource
-import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -16,6 +15,7 @@ from typing import NoReturn
 
 from kncal.core.awake import run_within
 from kncal.core.files import decode_line
+from kncal.core.process import signal_name
 
 _DONE, _REFUSED = 0, 9
 
@@ -45,8 +45,7 @@ def ask(module: str, *arguments: str, given: bytes = b"", seconds: float) -> byt
         raise ChildError(lines[-1][:500] if lines else "no reason given")
     ended = f"exit code {done.returncode}"
     if done.returncode < 0:
-        known = -done.returncode in {number.value for number in signal.Signals}
-        ended = signal.Signals(-done.returncode).name if known else f"signal {-done.returncode}"
+        ended = signal_name(-done.returncode)
     raise ChildError(f"stopped or crashed with {ended}, beyond its limits of time and memory, or by damaged input")
 
 

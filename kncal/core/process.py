@@ -318,6 +318,14 @@ def reap(child: subprocess.Popen[bytes]) -> tuple[int, float]:
     return child.returncode, usage.ru_utime + usage.ru_stime
 
 
+def signal_name(number: int) -> str:
+    """Return what a signal is called."""
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"
+
+
 def signal_group(pid: int, number: int) -> None:
     """Send a signal to a child and all in its group."""
     try:

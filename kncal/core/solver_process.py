@@ -8,56 +8,22 @@ import signal
 import socket
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 from kncal.core.awake import LOOK, awake
 from kncal.core.errors import RunError, SolverMissingError
 from kncal.core.files import decode_line
 from kncal.core.process import ProcessResult, is_stopped, open_log, reap, result, signal_group, start, wait_for
+from kncal.core.scratch import held_scratch
 from kncal.core.stopping import check_stop
 
-_TOKEN = 4  # bytes of a command and of an answer
+#: Longest message [bytes].
+MAX_MESSAGE = 1 << 16
 _GRACE = 10.0  # s that a solver may take to end once it was asked, or once its socket has closed
 _CLOCK = os.sysconf("SC_CLK_TCK")
 _LOG_LIMIT = 16 << 20  # bytes; a long run would write gigabytes
-_KEPT = 1 << 14  # bytes from the end of the log that are searched for last words
-
-
-def receive(channel: socket.socket, size: int, limit: float) -> bytes:
-    """Return what a solver sends, at most ``size`` bytes; empty if it has closed its end.
-
-    Raises
-    ------
-    TimeoutError
-        If nothing comes within ``limit`` [s] in which kncal ran (see `kncal.core.awake`).
-    ConnectionError
-        If the solver is gone.
-    KeyboardInterrupt
-        If it was asked to stop (see `kncal.core.stopping`).
-    """
-    deadline = awake() + limit
-    while True:
-        channel.settimeout(min(max(deadline - awake(), 1e-3), LOOK))
-        try:
-            return channel.recv(size)
-        except TimeoutError:
-            if awake() >= deadline:
-                raise
-            check_stop()
-
-
-def silent(program: str, pid: int, limit: float, log: Path) -> RunError:
-    """Return the error that says why a solver that lives did not answer within ``limit`` [s]; ask before it is ended.
-
-    Its failure is "peer-stopped" if a signal had stopped the solver, "peer-died" if not.
-    """
-    if is_stopped(pid):
-        return RunError(
-            f"{program} (process {pid}) was stopped from outside (SIGSTOP, or a debugger) and did not go on within "
-            f"{limit:.3g} s while kncal ran; kncal has ended it; log: {log}",
-            "peer-stopped",
-        )
-    return RunError(f"{program} did not answer within {limit:.3g} s, and was ended; log: {log}", "peer-died")
+_KEPT, _KEPT_LINES = 1 << 15, 50  # bytes and lines from the end of the log that are searched for last words
 
 
 class PeerLostError(RunError):
@@ -69,13 +35,14 @@ class PeerLostError(RunError):
 
 
 class SolverProcess:
-    """A child that answers 4-byte commands.
+    """A child that answers messages: commands go to it, one answer comes back for each.
 
     It dies with the thread that started it, also if that is killed (where ``setpriv`` exists), and sees the end of
     the socket otherwise. Its log is cut when it becomes too long: the part before is kept in ``<log>.before``.
 
     Parameters
     ----------
+    name : of the program, for errors
     command : sequence of str
     cwd, log : Path
         Folder to run in; file that gets its output (replaced; a symbolic link is refused).
@@ -98,6 +65,7 @@ class SolverProcess:
 
     def __init__(
         self,
+        name: str,
         command: Sequence[str],
         *,
         cwd: Path,
@@ -107,25 +75,24 @@ class SolverProcess:
         descriptor: int,
         pass_fds: Sequence[int] = (),
     ) -> None:
-        self.log, self._command = log, tuple(command)
+        self.log, self._name, self._command = log, name, tuple(command)
         self._begin = time.monotonic()
         self._result: ProcessResult | None = None
         self._cpu = 0.0
-        self._log = open_log(log)
-        self._socket, theirs = socket.socketpair()
-        inherited = (theirs.fileno(), descriptor)
-        own = {**environment, variable: f"{inherited[0]} {inherited[1]}"}
-        try:
-            child = start(command, cwd, own, self._log, (*inherited, *pass_fds))
+        with ExitStack() as held:
+            self._log = open_log(log)
+            held.callback(os.close, self._log)
+            session, holding = held.enter_context(held_scratch())  # see `kncal.core.process.run_process`
+            self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+            held.enter_context(self._socket)
+            with theirs:
+                inherited = (theirs.fileno(), descriptor)
+                own = {**environment, variable: f"{inherited[0]} {inherited[1]}"}
+                own["OMPI_MCA_orte_tmpdir_base"] = str(session)
+                child = start(command, cwd, own, self._log, (*inherited, *holding, *pass_fds))
             if child is None:
                 raise SolverMissingError(f"{command[0]} is not installed (no such program on PATH)")
-        except BaseException:
-            self._socket.close()
-            os.close(self._log)
-            raise
-        finally:
-            theirs.close()
-        self._child = child
+            self._child, self._held = child, held.pop_all()
 
     @property
     def pid(self) -> int:
@@ -150,15 +117,13 @@ class SolverProcess:
         self._cpu = (int(fields[11]) + int(fields[12])) / _CLOCK
         return self._cpu
 
-    def send(self, command: int) -> None:
-        """Send a command; a solver that has gone is noticed by `receive`."""
+    def send(self, message: bytes) -> None:
+        """Send a message; a solver that has gone is noticed by `receive`."""
         self._bound_log()
-        try:
-            self._socket.sendall(command.to_bytes(_TOKEN, "little"))
-        except OSError:
-            return  # it has gone: waiting for the answer says how
+        with suppress(OSError):  # it has gone: waiting for the answer says how
+            self._socket.sendall(message)
 
-    def receive(self, limit: float) -> None:
+    def receive(self, limit: float) -> bytes:
         """Wait for the answer, at most ``limit`` seconds; whatever goes wrong, the solver is ended.
 
         Raises
@@ -166,24 +131,50 @@ class SolverProcess:
         PeerLostError
             If it ended.
         RunError
-            If it did not answer in time; see `silent`.
+            If it did not answer in time: "peer-stopped" if a signal had stopped it, "peer-died" if not.
         """
         try:
-            if len(receive(self._socket, _TOKEN, limit)) == _TOKEN:
-                return
-        except TimeoutError as late:
-            try:
-                raise silent(self._command[0], self.pid, limit, self.log) from late
-            finally:
-                signal_group(self.pid, signal.SIGKILL)
-                self.end()
+            if answer := self._answer(limit):
+                return answer
         except ConnectionError:
             pass  # the same as the end of what is to be received: it has gone
+        except TimeoutError as late:
+            try:
+                raise self._silent(limit) from late
+            finally:
+                self.kill()
         except BaseException:  # Ctrl-C: the answer would be taken for that to another command
-            signal_group(self.pid, signal.SIGKILL)
-            self.end()
+            self.kill()
             raise
         raise PeerLostError(self.end())
+
+    def _answer(self, limit: float) -> bytes:
+        """Return one message, empty if it has closed its end; `TimeoutError` after ``limit`` [s] in which kncal ran."""
+        deadline = awake() + limit
+        while True:
+            self._socket.settimeout(min(max(deadline - awake(), 1e-3), LOOK))
+            try:
+                return self._socket.recv(MAX_MESSAGE)
+            except TimeoutError:
+                if awake() >= deadline:
+                    raise
+                check_stop()
+
+    def _silent(self, limit: float) -> RunError:
+        if is_stopped(self.pid):
+            return RunError(
+                f"{self._name} (process {self.pid}) was stopped from outside (SIGSTOP, or a debugger) and did not go "
+                f"on within {limit:.3g} s while kncal ran; kncal has ended it; log: {self.log}",
+                "peer-stopped",
+            )
+        text = f"{self._name} did not answer within {limit:.3g} s, and was ended; log: {self.log}"
+        return RunError(text, "peer-died")
+
+    def kill(self) -> ProcessResult:
+        """End the solver at once."""
+        if self._result is None:
+            signal_group(self.pid, signal.SIGKILL)
+        return self.end()
 
     def end(self) -> ProcessResult:
         """Close the socket, which ends the solver, and collect it; one that lingers is killed. May be called twice."""
@@ -194,21 +185,21 @@ class SolverProcess:
             finally:
                 code, cpu = reap(self._child)
                 self._result = result("exited", code, cpu, self._begin, self.last_lines(), self._command)
-                os.close(self._log)
+                self._held.close()
         return self._result
 
-    def finish(self, command: int) -> ProcessResult:
+    def finish(self, message: bytes) -> ProcessResult:
         """Ask the solver to end by itself and collect it; one that does not is killed."""
         if self._result is None:
-            self.send(command)
+            self.send(message)
             wait_for(self.pid, awake() + _GRACE, None)
         return self.end()
 
     def last_lines(self) -> tuple[str, ...]:
-        """Return the last lines of the log (at most 20)."""
+        """Return the last lines of the log (at most `_KEPT_LINES`)."""
         size = os.fstat(self._log).st_size
         block = os.pread(self._log, _KEPT, max(size - _KEPT, 0))
-        return tuple(decode_line(line) for line in block.rstrip(b"\n").split(b"\n")[-20:])
+        return tuple(decode_line(line) for line in block.rstrip(b"\n").split(b"\n")[-_KEPT_LINES:])
 
     def _bound_log(self) -> None:
         """Cut the log when it is too long; only while the solver waits, and it appends, so no line is torn."""

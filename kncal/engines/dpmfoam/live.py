@@ -21,7 +21,7 @@ from kncal.engines.dpmfoam.foam import FoamGas, lost_parcels
 from kncal.engines.dpmfoam.memory import ExchangeMemory
 from kncal.record.steps import GasStep
 
-_END, _STEP, _SAVE = 0, 1, 2  # commands of the adapter
+_END, _STEP, _SAVE = (number.to_bytes(4, "little") for number in range(3))  # commands of the adapter
 _NEVER = 1_000_000_000  # steps between written time folders
 # One step only: should the library not be loaded, which is a mere warning to the solver, it ends at once instead of
 # running on alone. The library lifts the end.
@@ -159,6 +159,7 @@ class LiveGas(FoamGas):
         environment = case_environment(self._folder)
         paths = [str(self._library.parent), os.environ.get("LD_LIBRARY_PATH", "")]
         solver = self._solver = SolverProcess(
+            SOLVER,
             [SOLVER],
             cwd=self._folder,
             log=self._folder / f"log.{SOLVER}",
@@ -171,7 +172,7 @@ class LiveGas(FoamGas):
         self._attached = True
         return solver
 
-    def _command(self, solver: SolverProcess, command: int) -> None:
+    def _command(self, solver: SolverProcess, command: bytes) -> None:
         solver.send(command)
         self._await(solver)
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from kncal.core.disk import blame
 from kncal.core.errors import ReadError
-from kncal.core.process import ProcessResult
+from kncal.core.process import ProcessResult, signal_name
 from kncal.record.liggghts_dump import read_dump
 from kncal.record.liggghts_log import END_MARKER, LiggghtsLog, read_log
 
@@ -163,16 +163,14 @@ def _killed(run: _Evidence) -> Diagnosis | None:
     number = run.process.signal
     if number is None:
         return None
-    try:
-        name = signal.Signals(number).name
-    except ValueError:
-        name = "unknown"
-    hint = {signal.SIGKILL: "by hand, by the batch system, or for want of memory", signal.SIGSEGV: "it crashed"}
-    why = hint.get(signal.Signals(number), "") if name != "unknown" else ""
+    why: dict[int, str] = {
+        signal.SIGKILL: "by hand, by the batch system, or for want of memory",
+        signal.SIGSEGV: "it crashed",
+    }
+    name = ", ".join(filter(None, (signal_name(number), why.get(number))))
     return Diagnosis(
         code="killed",
-        message=f"LIGGGHTS was ended by signal {number} ({name}{', ' + why if why else ''}) {run.reached()}; "
-        f"log: {run.log_path}",
+        message=f"LIGGGHTS was ended by signal {number} ({name}) {run.reached()}; log: {run.log_path}",
     )
 
 

@@ -10,32 +10,23 @@ import json
 import mmap
 import os
 import shutil
-import signal
-import socket
-import subprocess
 import sys
-import time
 from collections.abc import Sequence
-from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 import numpy as np
 
-from kncal.core.awake import awake
 from kncal.core.checks import Array
 from kncal.core.disk import blame
 from kncal.core.errors import InputError, RunError, SolverMissingError
-from kncal.core.files import decode_line
-from kncal.core.process import solver_environment
-from kncal.core.scratch import held_scratch
-from kncal.core.solver_process import receive, silent
-from kncal.core.stopping import shielded_start
+from kncal.core.process import ProcessResult, signal_name, solver_environment
+from kncal.core.solver_process import PeerLostError, SolverProcess
 from kncal.engines.liggghts.deck import DECK, RESTART, bed_deck, write_deck
 from kncal.engines.liggghts.deck_checks import expect
 from kncal.engines.liggghts.impacts import Side, speed_edges
-from kncal.engines.liggghts.library_child import LIBRARY, MAX_MESSAGE, SAVED_FORCES, Shared, histogram_edges
+from kncal.engines.liggghts.library_child import LIBRARY, SAVED_FORCES, VARIABLE, Shared, histogram_edges
 from kncal.record.steps import DemStep
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.model import BedModel
@@ -48,8 +39,6 @@ _START_LIMIT = 120.0  # s: deck, neighbour lists, and a machine that is busy wit
 _RUN_LIMIT = 10.0  # s, of any run; and
 _STEP_LIMIT = 2e-5  # s per particle and step, a hundred times what one takes
 _SAVE_LIMIT = 300.0  # s, for slow disks
-_GRACE = 5.0  # s to end by itself
-_TAIL = 1 << 15  # bytes of the log that an error text is looked for in
 
 
 class LiggghtsDem:
@@ -97,7 +86,6 @@ class LiggghtsDem:
         self._count = scene.particles.count
         self._plane = middle(scene) if scene.column.front_back == "layer" else None
         self._folder = folder
-        self._cpu = 0.0
         self._step = 0
         folder.mkdir(parents=True, exist_ok=True)
         if restart is not None:
@@ -111,25 +99,36 @@ class LiggghtsDem:
             write_deck(bed_deck(model, x, v), folder)
         else:
             raise InputError("positions: None, expected (n, 3) centres, or a restart folder")
-        self._scratch = ExitStack()
-        self._session, holding = self._scratch.enter_context(held_scratch())
-        self._pass_fds = (*pass_fds, *holding)
-        self._channel, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        arguments = {
+            "count": self._count,
+            "deck": DECK,
+            "diameter": scene.particles.diameter,
+            "dt": model.dt,
+            "gravity": scene.gravity,
+            "plane": self._plane,
+            "period": scene.column.depth if scene.column.front_back == "periodic" else None,
+            "sides": sides(scene),
+            "saved": SAVED_FORCES if restart else "",
+        }
+        # The child imports what this process imports.
+        environment = solver_environment() | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
         memory = os.memfd_create("kncal-particles", os.MFD_CLOEXEC)
         try:
             os.ftruncate(memory, Shared.size(self._count))
             buffer = mmap.mmap(memory, Shared.size(self._count))
-            self._child: subprocess.Popen[bytes] | None = self._start(
-                model, theirs.fileno(), memory, restart is not None
+            self._process = SolverProcess(
+                "LIGGGHTS",
+                [sys.executable, "-P", "-m", "kncal.engines.liggghts.library_child", json.dumps(arguments)],
+                cwd=folder,
+                log=folder / LOG,
+                environment=environment,
+                variable=VARIABLE,
+                descriptor=memory,
+                pass_fds=pass_fds,
             )
-        except BaseException:
-            self._channel.close()
-            self._scratch.close()
-            raise
         finally:
-            theirs.close()
             os.close(memory)
-        self._shared: Shared | None = Shared.over(buffer, self._count)
+        self._shared = Shared.over(buffer, self._count)
         self._take(self._receive(_START_LIMIT), None)
 
     @property
@@ -140,12 +139,12 @@ class LiggghtsDem:
     @property
     def cpu_seconds(self) -> float:
         """CPU time of the child so far [s]."""
-        return self._cpu
+        return self._process.cpu_seconds
 
     @property
-    def pid(self) -> int | None:
-        """Number of the child process, None after the end."""
-        return None if self._child is None else self._child.pid
+    def pid(self) -> int:
+        """Number of the child process."""
+        return self._process.pid
 
     def state(self) -> tuple[Array, Array]:
         """Return positions [m] and velocities [m/s], both (n, 3), by id; periodic y within 0 ... depth."""
@@ -201,11 +200,7 @@ class LiggghtsDem:
 
     def close(self) -> None:
         """End the child; leaves no process and no file descriptor behind. May be called twice."""
-        if self._child is None:
-            return
-        with suppress(OSError):  # it has gone already
-            self._channel.send(b'{"do": "close"}')
-        self._end(awake() + _GRACE)
+        self._process.end()
 
     def __enter__(self) -> LiggghtsDem:
         return self
@@ -216,7 +211,7 @@ class LiggghtsDem:
         self.close()
 
     def _open(self) -> Shared:
-        if self._shared is None:
+        if self._process.ended:
             raise RunError(f"{self._folder}: LIGGGHTS has ended, nothing more can be asked of it; log: {self._log}")
         return self._shared
 
@@ -224,56 +219,9 @@ class LiggghtsDem:
     def _log(self) -> Path:
         return self._folder / LOG
 
-    def _start(self, model: BedModel, channel: int, memory: int, restart: bool) -> subprocess.Popen[bytes]:
-        scene = model.scene
-        arguments = {
-            "socket": channel,
-            "memory": memory,
-            "count": self._count,
-            "deck": DECK,
-            "diameter": scene.particles.diameter,
-            "dt": model.dt,
-            "gravity": scene.gravity,
-            "plane": self._plane,
-            "period": scene.column.depth if scene.column.front_back == "periodic" else None,
-            "sides": sides(scene),
-            "saved": SAVED_FORCES if restart else "",
-        }
-        environment = solver_environment() | {
-            # The child imports what this process imports, and has a session folder of its own (see
-            # `kncal.core.process`).
-            "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
-            "OMPI_MCA_orte_tmpdir_base": str(self._session),
-        }
-        # As in `kncal.core.process`: it dies with us even while it computes.
-        setpriv = shutil.which("setpriv")
-        guard = [setpriv, "--pdeathsig", "KILL", "--"] if setpriv else []
-        flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND | os.O_NOFOLLOW | os.O_CLOEXEC
-        try:
-            log = os.open(self._log, flags, 0o644)
-        except OSError as error:
-            raise RunError(f"{self._log}: cannot be opened as the log ({error.strerror})") from error
-        try:
-            with shielded_start():
-                return subprocess.Popen(  # noqa: S603 - a list of arguments, no shell
-                    [*guard, sys.executable, "-P", "-m", "kncal.engines.liggghts.library_child", json.dumps(arguments)],
-                    cwd=self._folder,
-                    env=environment,
-                    stdin=subprocess.DEVNULL,
-                    stdout=log,
-                    stderr=subprocess.STDOUT,
-                    pass_fds=(channel, memory, *self._pass_fds),
-                    process_group=0,
-                )
-        except OSError as error:
-            raise RunError(f"{sys.executable}: cannot be started ({error})") from error
-        finally:
-            os.close(log)
-
     def _ask(self, request: dict[str, Any], limit: float, steps: int) -> dict[str, Any]:
         self._open()
-        with suppress(OSError):  # it has gone; receiving says so, with its text
-            self._channel.send(json.dumps(request).encode())
+        self._process.send(json.dumps(request).encode())
         answer = self._receive(limit)
         self._take(answer, steps)
         return answer
@@ -281,27 +229,14 @@ class LiggghtsDem:
     def _receive(self, limit: float) -> dict[str, Any]:
         """Return the next answer, within ``limit`` [s]; whatever else happens ends the child."""
         try:
-            message = receive(self._channel, MAX_MESSAGE, limit)
-        except TimeoutError as late:
-            try:
-                raise silent("LIGGGHTS", self.pid or 0, limit, self._log) from late
-            finally:
-                self._end(0.0)
-        except ConnectionError:
-            message = b""
-        except BaseException:
-            self._end(0.0)
-            raise
-        if message:
-            answer: dict[str, Any] = json.loads(message)
-            return answer
-        code = self._end(awake() + _GRACE)
-        raise self._failure(code)
+            answer: dict[str, Any] = json.loads(self._process.receive(limit))
+        except PeerLostError as error:
+            raise self._failure(error.result) from error
+        return answer
 
     def _take(self, answer: dict[str, Any], steps: int | None) -> None:
         """Book an answer; refuse a state that no one should go on with."""
         shared = self._open()
-        self._cpu = answer["cpu"]
         problem, failure = "", "solver-error"
         if answer["count"] != self._count:
             problem = f"{answer['count']} of {self._count} particles are left: some left the column"
@@ -315,41 +250,23 @@ class LiggghtsDem:
             problem = f"particles move or spin out of the plane y = {self._plane!r} m of the layer"
         self._step = answer["step"]
         if problem:
-            self._end(0.0)
+            self._process.kill()
             raise RunError(f"LIGGGHTS: {problem}; log: {self._log}", failure)
 
-    def _failure(self, code: int) -> RunError:
-        how = f"ended by signal {-code} ({_signal_name(-code)})" if code < 0 else f"ended with exit code {code}"
-        lines = _last_lines(self._log)
+    def _failure(self, ended: ProcessResult) -> RunError:
+        how = f"ended with exit code {ended.returncode}"
+        if ended.signal is not None:
+            how = f"ended by signal {ended.signal} ({signal_name(ended.signal)})"
+        lines = [line for line in ended.last_lines if line]
         if any(LIBRARY in line and "cannot open" in line for line in lines):
             return SolverMissingError(f"{LIBRARY} is not installed: apt-get install liggghts; log: {self._log}")
         errors = [line for line in lines if line.startswith("ERROR")]
         text = errors[0] if errors else " | ".join(lines[-3:]) or "(no output)"
-        failure = "peer-died" if code < 0 else "solver-error"
+        failure = "solver-error" if ended.signal is None else "peer-died"
         if "lost atoms" in text.lower():
             text, failure = f"particles left the column (its counts mean nothing): {text}", "lost-particles"
         failure, text = blame(failure, f"LIGGGHTS {how}: {text}; log: {self._log}", self._folder)
         return RunError(text, failure)
-
-    def _end(self, deadline: float) -> int:
-        """Wait for the child's end until ``deadline``, then kill it; release everything. Return its exit code."""
-        child, self._child, self._shared = self._child, None, None
-        self._channel.close()
-        if child is None:
-            return 0
-        pause = 0.001
-        while os.waitid(os.P_PID, child.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
-            if awake() >= deadline:
-                break
-            time.sleep(pause)
-            pause = min(2.0 * pause, 0.05)
-        with suppress(ProcessLookupError):  # all of it has gone
-            os.killpg(child.pid, signal.SIGKILL)  # a zombie keeps the number, so this can hit no one else
-        _, status, usage = os.wait4(child.pid, 0)
-        child.returncode = os.waitstatus_to_exitcode(status)
-        self._cpu = usage.ru_utime + usage.ru_stime
-        self._scratch.close()
-        return child.returncode
 
 
 def sides(scene: BedScene) -> list[Side]:
@@ -391,20 +308,3 @@ def _copy_saved(source: Path, target: Path) -> None:
         shutil.copyfile(source, target)
     except OSError as error:
         raise InputError(f"{source}: cannot be read ({error.strerror}); expected what `save` wrote") from error
-
-
-def _last_lines(log: Path) -> list[str]:
-    try:
-        with log.open("rb") as file:
-            file.seek(0, os.SEEK_END)
-            file.seek(max(0, file.tell() - _TAIL))
-            return [text for line in file.read().split(b"\n") if (text := decode_line(line))]
-    except OSError as error:
-        return [f"(the log cannot be read: {error.strerror})"]
-
-
-def _signal_name(number: int) -> str:
-    try:
-        return signal.Signals(number).name
-    except ValueError:
-        return "unknown"

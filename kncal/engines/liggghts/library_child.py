@@ -1,6 +1,6 @@
 """The process that holds LIGGGHTS: any error of the library ends the process that loaded it, so it is never ours.
 
-Started by `kncal.engines.liggghts.library`: ``python -m kncal.engines.liggghts.library_child '{"socket": 5, ...}'`` in
+Started by `kncal.engines.liggghts.library`: ``python -m kncal.engines.liggghts.library_child '{"count": 5, ...}'`` in
 the folder of the deck.
 It runs the deck, then answers one JSON message with one JSON message; arrays go through a shared mapping, by id.
 What LIGGGHTS prints is this process' standard output, which is a log file.
@@ -13,7 +13,6 @@ import itertools
 import json
 import mmap
 import os
-import resource
 import socket
 import sys
 from collections.abc import Iterator
@@ -25,11 +24,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kncal.core.checks import Array
+from kncal.core.solver_process import MAX_MESSAGE
 from kncal.engines.liggghts.impacts import BINS, POWERS, Before, count_speeds, pair_speeds, wall_speeds
 
 LIBRARY = "libliggghts.so.3"
-#: Longest message [bytes].
-MAX_MESSAGE = 1 << 16
+#: Environment variable with the numbers of the inherited socket and memory.
+VARIABLE = "KNCAL_PARTICLES"
 #: Overlaps are looked at about every so many steps, at least once in an interval and at its end. One look costs as much
 #: as 1.5 steps, so this is 4 % of the run.
 LOOK_EVERY = 40
@@ -218,11 +218,9 @@ class Child:
             if self.given["period"] is not None:
                 # LIGGGHTS brings a particle back into a periodic box only when it makes neighbour lists.
                 self.shared.x[:, 1] %= float(self.given["period"])
-        usage = resource.getrusage(resource.RUSAGE_SELF)
         return {
             "count": len(rows),
             "step": self.lib.step,
-            "cpu": usage.ru_utime + usage.ru_stime,
             "in_plane": self.given["plane"] is None or self._in_plane(float(self.given["plane"])),
         }
 
@@ -369,17 +367,11 @@ def split(steps: int, parts: int) -> list[int]:
 
 
 def serve(channel: socket.socket, child: Child, kept: int) -> None:
-    """Answer until the parent says close, or is gone."""
+    """Answer until the parent closes the socket, or is gone."""
     channel.send(json.dumps(child.publish()).encode())
     while message := channel.recv(MAX_MESSAGE):
         request = json.loads(message)
-        match request["do"]:
-            case "run":
-                answer = child.run(int(request["steps"]))
-            case "save":
-                answer = child.save()
-            case _:
-                return
+        answer = child.save() if request["do"] == "save" else child.run(int(request["steps"]))
         if os.fstat(1).st_size > kept + MAX_LOG:
             os.ftruncate(1, kept)  # opened for appending: the next line follows the deck's
         channel.send(json.dumps(answer | child.publish()).encode())
@@ -389,10 +381,10 @@ def main(arguments: list[str]) -> None:
     """Take the inherited socket and mapping, and serve."""
     given = json.loads(arguments[0])
     count = int(given["count"])
-    channel = socket.socket(fileno=int(given["socket"]))
-    shared = Shared.over(mmap.mmap(int(given["memory"]), Shared.size(count)), count)
+    channel, memory = map(int, os.environ[VARIABLE].split())
+    shared = Shared.over(mmap.mmap(memory, Shared.size(count)), count)
     library = Library()
-    serve(channel, Child(library, shared, given), os.fstat(1).st_size)
+    serve(socket.socket(fileno=channel), Child(library, shared, given), os.fstat(1).st_size)
     library.close()
 
 
