@@ -9,14 +9,15 @@ import signal
 import subprocess
 from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 from kncal.core.awake import communicate
 from kncal.core.process import solver_environment
 from kncal.core.scratch import scratch
 
 #: Seconds that a solver may take to say its version; it takes about one.
-SOLVER_LIMIT = 5.0
+SOLVER_LIMIT = 8.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,12 +30,15 @@ class Finding:
     found : version and place, or what is wrong
     needed_for : what does not work without it
     hint : how to mend it, empty if it is there and fit for use
+    program, version : of a program that says which one it is, fit or not
     """
 
     name: str
     found: str
     needed_for: str
     hint: str = ""
+    program: Path | None = None
+    version: str = ""
 
     @property
     def ok(self) -> bool:
@@ -53,24 +57,21 @@ def ask_version(
     package: str,
 ) -> Finding:
     """Start ``program`` and find its version by ``pattern`` (group 1; group 2, if any, is the build)."""
-    mend = f"apt-get install {package}"
     path = shutil.which(program)
+    about = Finding(name=title, found="", needed_for=needed_for)
     if path is None:
-        return Finding(name=title, found=f"no {program} on PATH", needed_for=needed_for, hint=mend)
+        return replace(about, found=f"no {program} on PATH", hint=f"apt-get install {package}")
     failure, text = ask([path, *arguments], SOLVER_LIMIT, solver_environment())
     match = re.search(pattern, text)
     if match is None or failure:
         found = f"{path} {failure or 'does not say its version'}: {last_line(text)}"
-        hint = f"start {path} by hand; if it is broken: {mend} --reinstall"
-        return Finding(name=title, found=found, needed_for=needed_for, hint=hint)
+        hint = f"start {path} by hand; if it is broken: apt-get install {package} --reinstall"
+        return replace(about, found=found, hint=hint)
     version, *build = (group for group in match.groups() if group)
     wrong = wanted is not None and version != wanted
-    return Finding(
-        name=title,
-        found=f"{' '.join([version, *build])} ({path})",
-        needed_for=needed_for,
-        hint=f"kncal is written for version {wanted}, that of Debian 12: {mend}" if wrong else "",
-    )
+    hint = f"kncal is written for version {wanted}, that of Debian 12: apt-get install {package}" if wrong else ""
+    found = f"{' '.join([version, *build])} ({path})"
+    return replace(about, found=found, hint=hint, program=Path(path), version=version)
 
 
 def ask(command: list[str], limit: float, environment: Mapping[str, str]) -> tuple[str, str]:

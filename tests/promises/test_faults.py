@@ -18,7 +18,7 @@ import pytest
 from kncal.core.errors import InputError, RenderError, RunError, SolverMissingError, ValidityError
 from kncal.core.lock import LOCK, locked, sign
 from kncal.core.process import run_process
-from kncal.engines.liggghts.batch import Liggghts, _version
+from kncal.engines.liggghts.batch import Liggghts, _look
 from kncal.engines.registry import get_engine
 from kncal.runs.folder import write_result
 from kncal.runs.workflow import load, render_case, run_case
@@ -308,7 +308,7 @@ def fake_solver(folder: Path, monkeypatch, script: str) -> None:
     program.write_text(f"#!/bin/sh\n{script}\n")
     program.chmod(0o755)
     monkeypatch.setenv("PATH", f"{folder}:{os.environ['PATH']}")
-    _version.cache_clear()
+    _look.cache_clear()
 
 
 @pytest.mark.solver
@@ -326,10 +326,10 @@ def test_another_version_runs_with_a_warning_everywhere(tmp_path: Path, monkeypa
 
 
 @pytest.mark.parametrize(
-    ("script", "words"), [("echo no room in /tmp", "it said: no room in /tmp"), ("exec sleep 60", "within 0.3 s")]
+    ("script", "words"), [("echo no room in /tmp", "its version: no room in /tmp"), ("exec sleep 60", "within 0.3 s")]
 )
 def test_a_program_that_names_no_version_is_quoted(tmp_path: Path, monkeypatch, script: str, words: str) -> None:
-    monkeypatch.setattr("kncal.engines.liggghts.batch._BANNER_TIME", 0.3)
+    monkeypatch.setattr("kncal.core.installed.SOLVER_LIMIT", 0.3)
     fake_solver(tmp_path, monkeypatch, script)
     profile = Liggghts().profile()
     assert profile.program is None
@@ -353,7 +353,7 @@ def test_liggghts_own_spring_is_told_apart_and_read_back(tmp_path: Path) -> None
     scene = dataclasses.replace(
         scene, contact=dataclasses.replace(scene.contact, method="strain_energy", method_options={}, k_n=None)
     )
-    _version.cache_clear()
+    _look.cache_clear()
     run_case(scene, get_engine("liggghts-hooke"), tmp_path / "out", ("linear",))
     folder = tmp_path / "out" / "linear"
     assert json.loads((folder / "manifest.json").read_text())["engine"] == "liggghts-hooke"

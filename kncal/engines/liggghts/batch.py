@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import shutil
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
@@ -10,15 +9,15 @@ from pathlib import Path
 from typing import Any
 
 from kncal.core.checks import Array, one_of
-from kncal.core.errors import RunError, SolverMissingError
+from kncal.core.errors import SolverMissingError
+from kncal.core.installed import Finding
 from kncal.core.mpi import MISSING as NO_MPIRUN
 from kncal.core.mpi import MPIRUN, check_ranks, mpi_command, mpi_environment, run_ranks
-from kncal.core.process import run_process, solver_environment
-from kncal.core.scratch import scratch
+from kncal.core.process import solver_environment
 from kncal.engines.base import FRAMES, Engine, Profile, Progress, guarded
 from kncal.engines.liggghts.deck import DECK, scene_deck, write_deck
 from kncal.engines.liggghts.diagnose import Diagnosis, diagnose_liggghts
-from kncal.engines.liggghts.installed import VERSION
+from kncal.engines.liggghts.installed import VERSION, look
 from kncal.engines.tunnelling import PASSED_THROUGH, passages
 from kncal.record.liggghts_log import step_of_line
 from kncal.record.outcome import RunResult
@@ -29,9 +28,6 @@ LOG = "log.liggghts"
 LINEAR_STYLES = ("hooke/stiffness", "hooke")
 #: Line-buffered: the text of some errors would be lost otherwise. The runner writes the log.
 _COMMAND = ("stdbuf", "-oL", PROGRAM, "-in", DECK, "-log", "none")
-_MISSING = "LIGGGHTS is not installed ({what}): apt-get install liggghts, or use the builtin engine"
-_VERSION = re.compile(r"Version LIGGGHTS-PUBLIC ([0-9][0-9A-Za-z.]*)")
-_BANNER_TIME, _BANNER_SIZE = 10.0, 1 << 16  # [s], [bytes]
 
 
 class Liggghts(Engine):
@@ -62,20 +58,19 @@ class Liggghts(Engine):
 
     def profile(self) -> Profile:
         """Look for the solver on this machine; starts it once to learn its version."""
-        program = _find(PROGRAM)
-        if program is None or _find("stdbuf") is None:
-            what = "no program " + repr(PROGRAM if program is None else "stdbuf") + " on PATH"
-            return Profile(engine=self.name, program=None, version="", problem=_MISSING.format(what=what))
-        version, problem = _version(program)
-        if self.ranks > 1 and _find(MPIRUN) is None:
-            version, problem = "", NO_MPIRUN
-        warning = f"{program} is LIGGGHTS {version}; kncal knows {VERSION}: look at the results twice"
+        found = _look(shutil.which(PROGRAM))
+        needed = [("stdbuf", "no program stdbuf on PATH: apt-get install coreutils")]
+        needed += [(MPIRUN, NO_MPIRUN)] if self.ranks > 1 else []
+        problem = next((hint for program, hint in needed if shutil.which(program) is None), "")
+        if not found.version:
+            problem = f"LIGGGHTS: {found.found}: {found.hint}, or use the builtin engine"
+        warning = f"{found.program} is LIGGGHTS {found.version}; kncal knows {VERSION}: look at the results twice"
         return Profile(
             engine=self.name,
-            program=program if version else None,
-            version=version,
+            program=None if problem else found.program,
+            version="" if problem else found.version,
             problem=problem,
-            warning=warning if version and version != VERSION else "",
+            warning="" if problem or found.ok else warning,
             environment=mpi_environment(solver_environment(), self.ranks),
         )
 
@@ -148,29 +143,8 @@ class Liggghts(Engine):
         return guarded(self.name, plan, folder, work, cpu_seconds=0.0, version=profile.version)
 
 
-def _find(program: str) -> Path | None:
-    found = shutil.which(program)
-    return None if found is None else Path(found)
-
-
 @lru_cache(maxsize=8)
-def _version(program: Path) -> tuple[str, str]:
-    """Return the version that the program's banner names, and why there is none; asked once per program."""
-    try:
-        with scratch() as folder:
-            # Without a log and with an empty deck it prints its banner and ends.
-            process = run_process(
-                (str(program), "-log", "none"), cwd=folder, log=folder / "banner", timeout=_BANNER_TIME
-            )
-            with (folder / "banner").open("rb") as file:
-                text = file.read(_BANNER_SIZE).decode(errors="replace")
-    except (RunError, OSError) as error:
-        return "", f"{program} cannot be asked for its version: {error}"
-    if process.status == "interrupted":
-        raise KeyboardInterrupt
-    if match := _VERSION.search(text):
-        return match.group(1), ""
-    if process.status == "timed_out":
-        return "", f"{program} did not name its version within {_BANNER_TIME:g} s"
-    said = " | ".join(process.last_lines[-3:]) or "nothing"
-    return "", f"{program} does not say that it is LIGGGHTS-PUBLIC, or which version; it said: {said}"
+def _look(program: str | None) -> Finding:
+    """Ask for the version once per program."""
+    del program
+    return look()

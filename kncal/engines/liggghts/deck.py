@@ -18,12 +18,12 @@ from kncal.core.checks import Array
 from kncal.core.shipped import folder as shipped_folder
 from kncal.core.templating import number, render
 from kncal.engines.liggghts.deck_checks import check_bed, check_model, check_run, check_start
-from kncal.engines.liggghts.deck_tables import STYLES, AtomType, Contacts, contact_context
+from kncal.engines.liggghts.deck_tables import STYLES, AtomType, Contacts, atom_types, contact_context
 from kncal.engines.liggghts.schedule import schedule
 from kncal.record.liggghts_log import END_MARKER
-from kncal.scene.bed_scene import PARTICLES, WALLS, BedScene
+from kncal.scene.bed_scene import BedScene
 from kncal.scene.model import BedModel, Model
-from kncal.scene.scene import Particle, Vector
+from kncal.scene.scene import Vector
 
 DECK, SCRIPT, DATA, RESTART = "in.liggghts", "Allrun", "particles.data", "particles.restart"
 #: Neighbour skin in diameters: fewer rebuilds than 0.1, fewer pairs than 0.5.
@@ -131,17 +131,7 @@ def scene_deck(model: Model, linear_style: str) -> Deck:
         scene=scene.name,
         kind=model.kind,
         style="hertz" if model.kind == "hertz" else linear_style,
-        types=[
-            AtomType(
-                name=body.name,
-                material=body.material,
-                radius=body.radius if isinstance(body, Particle) else None,
-                is_wall=not isinstance(body, Particle),
-                bodies=tuple(alike.name for alike in bodies),
-            )
-            for bodies in species.members
-            for body in bodies[:1]
-        ],
+        types=atom_types(species),
         contacts=model.contacts,
         unmet=model.unmet,
         tangential=needs.uses("tangential"),
@@ -192,10 +182,7 @@ def bed_deck(model: BedModel, positions: Array | None = None, velocities: Array 
         scene=scene.name,
         kind=model.kind,
         style="hertz" if model.kind == "hertz" else "hooke/stiffness",
-        types=[
-            AtomType(name=PARTICLES, material=particles.material, radius=0.5 * d),
-            AtomType(name=WALLS, material=column.wall_material, is_wall=True),
-        ],
+        types=atom_types(model.species),
         contacts=model.contacts,
         walls=[DeckWall(name=name, kind=1, axis=axis, position=at) for name, axis, at in places],
         box=(x_side, y_side, z_side),

@@ -11,14 +11,14 @@ from kncal.core.errors import CaseFileError, InputError, ValidityError
 from kncal.core.shipped import folder as shipped_folder
 from kncal.core.templating import render
 from kncal.engines.liggghts.deck_checks import expect
-from kncal.engines.liggghts.deck_tables import STYLES, AtomType, contact_context
+from kncal.engines.liggghts.deck_tables import STYLES, AtomType, atom_types, contact_context
 from kncal.physics.matrix import PairMatrix
 from kncal.physics.timestep import usual_steps
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.model import PairContact
 from kncal.scene.pair_contact import PairNumbers, Rest, pair_contact
 from kncal.scene.plan import contact_of, first_impact_speed
-from kncal.scene.scene import ContactChoice, Particle, Scene
+from kncal.scene.scene import ContactChoice, Scene
 from kncal.scene.species import species_of
 
 Contacts = Mapping[tuple[str, str], PairContact]
@@ -130,21 +130,14 @@ def case_block(scene: Scene | BedScene, style: str = "hooke/stiffness", steps_pe
 
 def _scene_contacts(scene: Scene | BedScene, kind: str) -> tuple[list[AtomType], Contacts]:
     species = species_of(scene)
-    bodies = [alike[0] for alike in species.members]
-    types = [
-        AtomType(name=b.name, material=b.material, radius=b.radius)
-        if isinstance(b, Particle)
-        else AtomType(name=b.name, material=b.material, is_wall=True)
-        for b in bodies
-    ]
     speed = cache(lambda: first_impact_speed(scene))  # it looks at every pair
     contacts = {}
     for which in species.pairs():
         a, b = species.bodies(which)
-        names = (bodies[which[0]].name, bodies[which[1]].name)
+        names = (species.members[which[0]][0].name, species.members[which[1]][0].name)
         try:
             contacts[names] = contact_of(scene, a, b, kind, lambda _: speed(), 0.0)
         except (CaseFileError, ValidityError):
             if species.meetings(which):  # else nobody asked for it, and the block says that it lacks it
                 raise
-    return types, contacts
+    return atom_types(species), contacts

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from kncal.core.errors import RenderError
+from kncal.physics.laws import LAWS
 from kncal.scene.bed_scene import DEPTHS
 from kncal.scene.model import BedModel, Model, PairContact
 from kncal.scene.scene import AXES, Particle, Scene, Vector
@@ -113,16 +114,19 @@ def check_start(scene: Scene) -> None:
         )
 
 
-def require_tsuji(names: tuple[str, str], contact: PairContact) -> None:
-    """Refuse a contact that LIGGGHTS' `hertz` model doesn't make: that is Tsuji's, or Hertz's without damping."""
-    tsuji = contact.law == "tsuji" and (contact.p == 0.25 or contact.c == 0.0)
-    if (tsuji or (contact.law == "hertz" and contact.c == 0.0)) and contact.n == 1.5:
+def require_law(names: tuple[str, str], contact: PairContact, model: str) -> None:
+    """Refuse a contact that LIGGGHTS' normal ``model`` does not make."""
+    law = LAWS.get(contact.law)
+    damped = law is not None and contact.p == law.damping_exponent
+    if law is not None and law.liggghts == model and contact.n == law.stiffness_exponent and (damped or not contact.c):
         return
-    if contact.law == "kuwabara_kono":
-        why = "LIGGGHTS has this law as its model hertz/stiffness, which kncal does not write"
-    else:
-        why = f"LIGGGHTS has no {contact.law!r} law"
+    why = f"LIGGGHTS has no {contact.law!r} law"
+    if law is not None and law.liggghts:
+        why = f"LIGGGHTS has this law as its model {law.liggghts}"
+    made = " or ".join(
+        f"{name!r}{' without damping' if law.elastic else ''}" for name, law in LAWS.items() if law.liggghts == model
+    )
     raise RenderError(
-        f"pair {names[0]}, {names[1]}: law {contact.law!r}: {why}; its model hertz is 'tsuji', or 'hertz' without "
-        "damping: expected one of these, or (single contacts only) the builtin engine for the hertz model"
+        f"pair {names[0]}, {names[1]}: law {contact.law!r}: {why}; its model {model} is {made}: expected such a law, "
+        "or (single contacts only) the builtin engine for the hertz model"
     )

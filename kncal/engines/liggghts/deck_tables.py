@@ -15,12 +15,16 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from kncal.core.errors import RenderError
-from kncal.engines.liggghts.deck_checks import ROUNDING, check_contact, expect, expect_same, require_tsuji
+from kncal.engines.liggghts.deck_checks import ROUNDING, check_contact, expect, expect_same, require_law
 from kncal.physics.material import Material, pair, wall_pair
 from kncal.scene.model import PairContact
+from kncal.scene.scene import Particle
+from kncal.scene.species import SpeciesTable
 
 #: Normal models of LIGGGHTS, and the kind of contact that each is made from.
 STYLES: Mapping[str, str] = {"hooke/stiffness": "linear", "hooke": "linear", "hertz": "hertz"}
+#: The linear law as a normal model of its own; "hooke" makes the same law of other numbers.
+LINEAR = "hooke/stiffness"
 #: LIGGGHTS refuses a coefficientRestitution of 0.05 and below.
 LEAST_RESTITUTION = 0.05
 #: Young's modulus beyond which LIGGGHTS (units si) wants `soft_particles yes` or `hard_particles yes` [Pa].
@@ -57,6 +61,21 @@ class AtomType:
     radius: float | None = None
     is_wall: bool = False
     bodies: tuple[str, ...] = ()
+
+
+def atom_types(species: SpeciesTable) -> list[AtomType]:
+    """Return an atom type for each species, called as the first of its bodies."""
+    return [
+        AtomType(
+            name=body.name,
+            material=body.material,
+            radius=body.radius if isinstance(body, Particle) else None,
+            is_wall=not isinstance(body, Particle),
+            bodies=tuple(alike.name for alike in bodies),
+        )
+        for bodies in species.members
+        for body in bodies[:1]
+    ]
 
 
 def contact_context(
@@ -218,25 +237,21 @@ def _restitution(contact: PairContact, names: Names, b: float) -> float:
         raise RenderError(
             f"pair {names[0]}, {names[1]}: {asked} needs damping that this LIGGGHTS model does not have (its "
             f"coefficientRestitution would be {e:.4g}; it wants more than {LEAST_RESTITUTION:g}): choose a "
-            f"larger e_n, {'the hooke/stiffness style, ' if contact.law == 'linear' else ''}or run this model with the "
+            f"larger e_n, {'the hooke/stiffness style, ' if contact.n == 1.0 else ''}or run this model with the "
             "builtin engine"
         )
     # The inverse of the formula that gave c: the same number but for rounding; the asked one reads better.
     return contact.e_n if abs(e - contact.e_n) < 1e-14 else min(e, 1.0)
 
 
-def _require_linear(names: Names, c: PairContact) -> None:
-    expect(c.law == "linear" and c.n == 1.0, names, f"law {c.law!r} in a linear model", "law 'linear'")
-
-
 def _linear_numbers(names: Names, c: PairContact, one: AtomType, other: AtomType, law: _Law) -> dict[str, float]:
-    _require_linear(names, c)
+    require_law(names, c, LINEAR)
     damping = {"gamman_abs": c.c, "gammat_abs": 0.0} if law.absolute else {"gamman": c.c / c.m_eff, "gammat": 0.0}
     return {"kn": c.k, "kt": c.k_t if law.tangential else 0.0} | damping
 
 
 def _hertz_numbers(names: Names, c: PairContact, one: AtomType, other: AtomType, law: _Law) -> dict[str, float]:
-    require_tsuji(names, c)
+    require_law(names, c, law.style)
     _check_elastic(names, c, one, other)
     k_h = 4.0 / 3.0 * c.E_eff * math.sqrt(c.R_eff)
     expect_same(names, "k", c.k, k_h, "Hertz stiffness (4/3) E_eff sqrt(R_eff)")
@@ -244,7 +259,7 @@ def _hertz_numbers(names: Names, c: PairContact, one: AtomType, other: AtomType,
 
 
 def _hooke_numbers(names: Names, c: PairContact, one: AtomType, other: AtomType, law: _Law) -> dict[str, float]:
-    _require_linear(names, c)
+    require_law(names, c, LINEAR)
     _check_elastic(names, c, one, other)
     stiff = math.sqrt(c.R_eff) * c.E_eff
     k = 16.0 / 15.0 * stiff * (15.0 * c.m_eff * law.velocity**2 / (16.0 * stiff)) ** 0.2
