@@ -6,10 +6,13 @@ has been silent, and no run has used up its time: the pause is no one's.
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 import threading
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any
 
 from kncal.core.stopping import start_deaf
@@ -55,33 +58,30 @@ def awake() -> float:
     return _CLOCK.seconds()
 
 
-def communicate(process: subprocess.Popen[Any], limit: float, given: Any = None) -> tuple[Any, Any]:
-    """Do as `subprocess.Popen.communicate` with a timeout of ``limit`` [s] of `awake`."""
-    deadline = awake() + limit
-    while True:
-        try:
-            return process.communicate(given, timeout=LOOK)
-        except subprocess.TimeoutExpired as late:
-            if awake() >= deadline:
-                raise subprocess.TimeoutExpired(process.args, limit, late.output, late.stderr) from late
-            given = None  # it is taken up from the first call
-
-
 def run_within(limit: float, command: Sequence[str], **options: Any) -> subprocess.CompletedProcess[Any]:
     """Run a program to its end and return what it printed, as `subprocess.run` with a timeout of `awake`.
 
     Raises
     ------
     subprocess.TimeoutExpired
-        If it has not ended within ``limit`` [s]; it is killed then.
+        If it has not ended within ``limit`` [s], with what it had printed; it and what it started are killed then.
     """
     given = options.pop("input", None)
-    options |= {"stdin": subprocess.DEVNULL if given is None else subprocess.PIPE}
-    options |= {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    pipe = {"stdin": subprocess.DEVNULL if given is None else subprocess.PIPE, "stdout": subprocess.PIPE}
+    options = {"stderr": subprocess.PIPE, "process_group": 0} | pipe | options
+    deadline = awake() + limit
     with subprocess.Popen(command, **options) as process:  # noqa: S603 - a list of arguments, no shell
         try:
-            out, err = communicate(process, limit, given)
+            while True:
+                try:
+                    out, err = process.communicate(given, timeout=LOOK)
+                    return subprocess.CompletedProcess(command, process.returncode, out, err)
+                except subprocess.TimeoutExpired as late:
+                    if awake() >= deadline:
+                        raise subprocess.TimeoutExpired(command, limit, late.output, late.stderr) from late
+                    given = None  # it is taken up from the first call
         except BaseException:
-            process.kill()
+            # The whole group: a grandchild that holds a pipe open would keep us waiting.
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
             raise
-    return subprocess.CompletedProcess(command, process.returncode, out, err)

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 import signal
 import subprocess
 from collections.abc import Mapping
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from kncal.core.awake import communicate
+from kncal.core.awake import run_within
 from kncal.core.process import solver_environment
 from kncal.core.scratch import scratch
 
@@ -76,36 +74,19 @@ def ask_version(
 
 def ask(command: list[str], limit: float, environment: Mapping[str, str]) -> tuple[str, str]:
     """Run ``command`` with nothing to read; return how it failed (empty if it did not) and all it printed."""
-    with ExitStack() as stack:
-        try:
-            # Solvers that start side by side must not share Open MPI's folder: the first to end removes it.
-            session = stack.enter_context(scratch())
-            process = subprocess.Popen(  # noqa: S603 - an argument list, no shell, no text of a user
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                env={**environment, "OMPI_MCA_orte_tmpdir_base": str(session)},
-                start_new_session=True,
-            )
-        except OSError as error:
-            return "cannot be started", str(error)
-        stack.enter_context(process)
-        try:
-            output, _ = communicate(process, limit)
-            late = False
-        except subprocess.TimeoutExpired:
-            # The whole group: a grandchild that holds the pipe open would keep us waiting.
-            os.killpg(process.pid, signal.SIGKILL)
-            output, _ = process.communicate()
-            late = True
-    text = output.decode(errors="replace")
-    if late:
-        return f"gave no answer within {limit:g} s", text
-    if process.returncode < 0:
-        number = -process.returncode
-        return f"was ended by signal {number} ({signal.strsignal(number)})", text
-    return (f"ended with code {process.returncode}" if process.returncode else ""), text
+    try:
+        # Solvers that start side by side must not share Open MPI's folder: the first to end removes it.
+        with scratch() as session:
+            own = {**environment, "OMPI_MCA_orte_tmpdir_base": str(session)}
+            done = run_within(limit, command, env=own, stderr=subprocess.STDOUT)
+    except OSError as error:
+        return "cannot be started", str(error)
+    except subprocess.TimeoutExpired as late:
+        return f"gave no answer within {limit:g} s", (late.output or b"").decode(errors="replace")
+    text, code = done.stdout.decode(errors="replace"), done.returncode
+    if code < 0:
+        return f"was ended by signal {-code} ({signal.strsignal(-code)})", text
+    return (f"ended with code {code}" if code else ""), text
 
 
 def last_line(text: str) -> str:

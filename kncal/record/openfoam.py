@@ -1,7 +1,6 @@
 """Files of OpenFOAM v1912 (64-bit scalars, 32-bit labels, little endian): parcel clouds, fields, logs.
 
-Written and read here: what an exchange with a running solver needs, in binary, every bit kept. For everything else,
-ParaView and users there is `read_case` (pyvista).
+Written and read here: what an exchange with a running solver needs, in binary, every bit kept.
 """
 
 from __future__ import annotations

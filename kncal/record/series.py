@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -124,8 +124,6 @@ class SeriesWriter:
         folder.mkdir(parents=True, exist_ok=True)
         if (folder / "facts.json").exists():
             there = _read_facts(folder)
-            if not there.impact_edges:
-                self.facts = facts = replace(facts, impact_edges=())  # began without a record of impacts, ends so
             if there != facts:
                 differing = ", ".join(f.name for f in fields(facts) if getattr(there, f.name) != getattr(facts, f.name))
                 raise InputError(
@@ -311,7 +309,7 @@ def _read_facts(folder: Path) -> BedFacts:
     path = folder / "facts.json"
     data = read_json(path)
     names = {f.name for f in fields(BedFacts)}
-    if not isinstance(data, dict) or {*data, "impact_edges"} != names:  # older runs have no record of impacts
+    if not isinstance(data, dict) or set(data) != names:
         raise ReadError(f"{path}: expected exactly the keys {', '.join(sorted(names))}")
     from pydantic import TypeAdapter, ValidationError
 
@@ -352,11 +350,8 @@ def _read_piece(path: Path, facts: BedFacts) -> dict[str, NDArray[Any]]:
         "p": (np.float32, field_shape),
         "U": (np.float32, (*field_shape, 3)),
     }
-    recorded = bool(facts.impact_edges) or "rows" not in arrays
     for name, (kind, shape) in shapes.items():
-        # of older runs, which have no record of impacts: none in every coupling
-        first = 0 if recorded or not name.startswith(("watched", "impact")) else len(arrays["rows"])
-        array = arrays.setdefault(name, np.zeros((first, *shape), dtype=kind))
+        array = arrays.setdefault(name, np.zeros((0, *shape), dtype=kind))
         if array.dtype != kind or array.shape[1:] != shape:
             raise ReadError(f"{path}: {name} is {array.dtype} {array.shape}; expected {kind.__name__} (any, {shape})")
         if name in _PER_COUPLING and len(array) != len(arrays["rows"]):

@@ -62,23 +62,17 @@ def read_run(scene: Scene | BedScene, result: RunResult) -> RunData:
     ReadError
         If its files are damaged, or of another plan.
     """
-    folder, kind = result.folder, result.model
-    if isinstance(scene, BedScene):
-        model = plan(scene, (kind,))[kind]
+    folder = result.folder
+    model: Any = plan(scene, (result.model,))[result.model]
+    # another machine's logarithm may differ in the last digit of dt
+    for key, found, value, off in (("steps", result.steps, model.n_steps, 0.0), ("dt", result.dt, model.dt, 1e-12)):
+        if not math.isclose(found, value, rel_tol=off):
+            raise ReadError(f"{folder / RESULT}: {key} = {found}, expected {value} of this case; run it again")
+    if model.couplings:
         series = read_series(folder / PIECES)
         if len(series.t) != model.couplings:
             raise ReadError(f"{folder}: {len(series.t)} couplings, expected {model.couplings}; run the case again")
         return RunData(model=model, result=result, signals=series)
-    planned = plan(scene, (kind,))[kind]
-    # another machine's logarithm may differ in the last digit of dt
-    for key, found, value, off in (("steps", result.steps, planned.n_steps, 0.0), ("dt", result.dt, planned.dt, 1e-12)):
-        if not math.isclose(found, value, rel_tol=off):
-            raise ReadError(f"{folder / RESULT}: {key} = {found}, expected {value} of this case; run it again")
-    trajectory = read_frames(planned, folder)
-    return RunData(
-        model=planned,
-        result=result,
-        frames=trajectory,
-        contacts=observe(planned, trajectory),
-        cpu_samples=tuple(result.extra.get("cpu_samples", ())),
-    )
+    frames = read_frames(model, folder)
+    samples = tuple(result.extra.get("cpu_samples", ()))
+    return RunData(model=model, result=result, frames=frames, contacts=observe(model, frames), cpu_samples=samples)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -102,27 +101,6 @@ def test_everything_comes_back(tmp_path):
     np.testing.assert_array_equal(found.v[2], state(6)[1].astype(np.float32))
     np.testing.assert_array_equal(found.p[3], np.full((4, 2, 3), 8.0))
     assert found.U.shape == (4, 4, 2, 3, 3)
-
-
-def test_a_run_without_a_record_of_impacts_is_read_and_goes_on_without(tmp_path):
-    """What an earlier kncal wrote: neither the key in the facts nor the arrays."""
-    old = replace(SMALL, impact_edges=())
-    with SeriesWriter(tmp_path, old) as writer:
-        write(writer, 1, 4)
-    facts_of = json.loads((tmp_path / "facts.json").read_text())
-    del facts_of["impact_edges"]
-    (tmp_path / "facts.json").write_text(json.dumps(facts_of))
-    with np.load(tmp_path / "piece-00000.npz") as piece:
-        kept = {name: piece[name] for name in piece.files if name not in ("watched", "impacts", "impact_sums")}
-    np.savez(tmp_path / "piece-00000.npz", **kept)
-    assert read_series(tmp_path).impacts.shape == (4, 2, 0)
-    with SeriesWriter(tmp_path, SMALL) as writer:
-        write(writer, 5, 6)
-    found = read_series(tmp_path)
-    assert found.facts == old
-    assert found.impacts.shape == (6, 2, 0)
-    assert not found.watched.any()
-    np.testing.assert_array_equal(found.histogram[:, 0], np.arange(1, 7))
 
 
 def test_a_run_that_dies_keeps_what_was_flushed(tmp_path):
