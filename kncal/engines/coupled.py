@@ -28,10 +28,11 @@ from kncal.engines.base import (
 )
 from kncal.engines.checkpoint import GAS, PARTICLES, last_checkpoint
 from kncal.engines.dpmfoam.adapter_build import AdapterError, find
-from kncal.engines.dpmfoam.case import SOLVER, write_case
+from kncal.engines.dpmfoam.case import write_case
 from kncal.engines.dpmfoam.decomposed import divisions as check_divisions
 from kncal.engines.dpmfoam.installed import look as look_for_openfoam
 from kncal.engines.dpmfoam.live import LiveGas
+from kncal.engines.dpmfoam.programs import SOLVER
 from kncal.engines.dpmfoam.restart import RestartGas
 from kncal.engines.drive import drive
 from kncal.engines.liggghts.deck import DATA, DECK, bed_deck, write_deck

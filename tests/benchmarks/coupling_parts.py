@@ -35,9 +35,10 @@ from kncal.core.checks import Array
 from kncal.core.process import run_process, solver_environment
 from kncal.engines.base import GasSetup
 from kncal.engines.dpmfoam import adapter_build
-from kncal.engines.dpmfoam.case import SOLVER, case_environment, make_mesh, write_case
+from kncal.engines.dpmfoam.case import write_case
 from kncal.engines.dpmfoam.forces import Exchange
 from kncal.engines.dpmfoam.live import LiveGas
+from kncal.engines.dpmfoam.programs import SOLVER, case_environment, make_mesh
 from kncal.engines.liggghts import library_child as dem_child
 from kncal.engines.liggghts.deck import DECK, bed_deck, write_deck
 from kncal.engines.liggghts.impacts import Before

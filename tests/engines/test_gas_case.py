@@ -11,8 +11,9 @@ import pytest
 
 from kncal.core.errors import RenderError, RunError
 from kncal.engines.base import GasSetup
-from kncal.engines.dpmfoam.case import make_mesh, write_case
+from kncal.engines.dpmfoam.case import write_case
 from kncal.engines.dpmfoam.grid import Grid
+from kncal.engines.dpmfoam.programs import make_mesh
 from kncal.engines.dpmfoam.restart import RestartGas
 from kncal.scene.bed_scene import Jet
 

@@ -7,24 +7,20 @@ patch ``floor``). ``outlet`` is the top. Cells are counted as `kncal.engines.dpm
 from __future__ import annotations
 
 import shutil
-import signal
 from collections.abc import Callable
 from pathlib import Path
 
 from kncal.core.checks import Array, in_range, one_of, positive
-from kncal.core.disk import blame
-from kncal.core.errors import InputError, ReadError, RenderError, RunError, SolverMissingError
-from kncal.core.process import ProcessResult, run_process, solver_environment
+from kncal.core.errors import InputError, ReadError, RenderError
 from kncal.core.shipped import folder as shipped_folder
 from kncal.core.templating import render
 from kncal.engines.base import GasSetup
-from kncal.engines.dpmfoam.decomposed import CWD, divisions
+from kncal.engines.dpmfoam.decomposed import divisions
 from kncal.engines.dpmfoam.grid import Grid
 from kncal.physics.drag import DRAGS
-from kncal.record.openfoam import fatal_error, read_cells, refuse_code, set_patch_vector
+from kncal.record.openfoam import read_cells, refuse_code, set_patch_vector
 from kncal.scene.bed_scene import DEPTHS, PARCELS
 
-SOLVER, MESHER = "DPMFoam", "blockMesh"
 INLET, OUTLET = "inlet", "outlet"
 #: The gas state between two steps: files of ``0/`` (binary). Nothing else is carried on.
 STATE = ("U.air", "p", "phi.air")
@@ -48,7 +44,6 @@ _FILES = (
     "Allrun",
 )
 _DECOMPOSITION = "system/decomposeParDict"
-_MESH_LIMIT = 600.0  # s
 
 Corner = Callable[[int, int, int], int]
 
@@ -63,7 +58,7 @@ def write_case(
     ranks: int = 1,
     oversubscribe: bool = False,
 ) -> None:
-    """Write the case of ``setup`` into ``folder`` (made if missing); it has no mesh yet: see `make_mesh`.
+    """Write the case of ``setup`` into ``folder`` (made if missing); it has no mesh yet: see `make_mesh` of ``programs``.
 
     Parameters
     ----------
@@ -105,36 +100,6 @@ def write_case(
     (folder / "case.foam").touch()  # what ParaView opens
 
 
-def make_mesh(folder: Path) -> float:
-    """Run blockMesh in a case folder; return its CPU time [s].
-
-    Raises
-    ------
-    SolverMissingError
-        If OpenFOAM is not installed.
-    RunError
-        If blockMesh fails; with its own error text.
-    """
-    log = folder / f"log.{MESHER}"
-    result = run_process([MESHER], cwd=folder, log=log, env=case_environment(folder), timeout=_MESH_LIMIT)
-    if result.status == "interrupted":
-        raise KeyboardInterrupt
-    if result.status != "exited" or result.returncode != 0:
-        raise process_error(MESHER, result, log)
-    return result.cpu_seconds
-
-
-def case_environment(folder: Path) -> dict[str, str]:
-    """Return the environment of a solver that runs in ``folder``; without its PWD OpenFOAM warns at each start.
-
-    OpenFOAM takes its own name for the folder from PWD and refuses one with spaces or quotes; such a folder gets the
-    name that Linux has for the working folder of any process.
-    """
-    here = str(folder.absolute())
-    awkward = any(sign.isspace() or sign in "\"'" for sign in here)
-    return {**solver_environment(), "PWD": CWD if awkward else here}
-
-
 def set_case_inlet(setup: GasSetup, folder: Path, velocity: float) -> None:
     """Write the velocity at the inlet [m/s] into the start fields of a case (superficial; of a jet: in its slot)."""
     entry = "inletVelocity" if setup.jet is None else "value"
@@ -158,29 +123,6 @@ def install_state(state: Path, folder: Path, cells: int) -> Array:
     for name in STATE:
         shutil.copyfile(state / name, folder / "0" / name)
     return U
-
-
-def process_error(program: str, result: ProcessResult, log: Path) -> RunError:
-    """Return the error that says why an OpenFOAM program did not end as it should, with its own words."""
-    if result.status == "not_installed":
-        return SolverMissingError(f"{program} is not installed (no such program on PATH): apt-get install openfoam")
-    if result.status == "timed_out":
-        if result.stopped:
-            text = (
-                f"{program} was stopped from outside (SIGSTOP, or a debugger) and did not go on within its time limit"
-            )
-            return RunError(f"{text}; kncal has ended it; log: {log}", "peer-stopped")
-        return RunError(f"{program} did not end within its time limit and was ended; see {log}", "peer-died")
-    if result.status == "interrupted":
-        return RunError(f"{program} was interrupted; see {log}")
-    words = fatal_error(log) or " / ".join(line for line in result.last_lines[-3:] if line)
-    how = f"signal {result.signal}" if result.signal is not None else f"exit code {result.returncode}"
-    failure = "solver-error" if result.signal is None else "peer-died"
-    if result.signal == signal.SIGFPE or "sigFpe" in words:
-        how += " (floating-point exception: the gas flow diverged; try a shorter gas step)"
-        failure = "not-finite"
-    failure, text = blame(failure, f"{program} failed, {how}: {words or 'no message'}; see {log}", log.parent)
-    return RunError(text, failure)
 
 
 def check_setup(setup: GasSetup) -> None:

@@ -10,27 +10,19 @@ missing on the way, so the pressure drop is off by no more than its share of the
 
 from __future__ import annotations
 
-import os
 import shutil
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
-from kncal.core.errors import InputError, RunError
-from kncal.core.mpi import run_ranks
-from kncal.core.process import ProcessResult
+from kncal.core.errors import InputError
 from kncal.record.openfoam import CLOUD
 
 DECOMPOSE, RECONSTRUCT = "decomposePar", "reconstructPar"
 #: Normalised residual to which ``system/fvSolution`` asks for the pressure.
 TOLERANCE = 1e-6
 
-#: Linux' name for the working folder of any process: `kncal.engines.dpmfoam.case.case_environment` says when it is
-#: used.
-CWD = "/proc/self/cwd"
-
-#: Runs one program of OpenFOAM to its end: (command, ranks) -> result; raises if it failed.
-Run = Callable[[list[str], int], ProcessResult]
+#: Runs one program of OpenFOAM on so many ranks: (command, ranks) -> CPU time [s]; raises if it failed.
+Run = Callable[[list[str], int], float]
 
 
 def divisions(cells: tuple[int, int, int], ranks: int) -> tuple[int, int, int]:
@@ -61,70 +53,21 @@ def decompose(folder: Path, run: Run) -> float:
     first = not _parts(folder)
     for part in _parts(folder):
         shutil.rmtree(part / "0")
-    result = run([DECOMPOSE] if first else [DECOMPOSE, "-fields"], 1)
+    cpu = run([DECOMPOSE] if first else [DECOMPOSE, "-fields"], 1)
     for part in _parts(folder):
         own = part / "0" / "uniform"
         if own.is_symlink():  # to that of the whole case; a run folder holds no links
             own.unlink()
         _tell_geometry(folder, part)
-    return result.cpu_seconds
+    return cpu
 
 
 def reconstruct(folder: Path, end: Path, run: Run) -> float:
     """Put the time folder ``end`` of all ranks together as one of the case; return the CPU time [s]."""
-    result = run([RECONSTRUCT, "-time", end.name], 1)
+    cpu = run([RECONSTRUCT, "-time", end.name], 1)
     for part in _parts(folder):
         shutil.rmtree(part / end.name, ignore_errors=True)
-    return result.cpu_seconds
-
-
-def run_in_folder(
-    command: list[str],
-    ranks: int,
-    *,
-    folder: Path,
-    environment: dict[str, str],
-    time_limit: float,
-    oversubscribe: bool,
-    error: Callable[[str, ProcessResult, Path], RunError],
-    pass_fds: Sequence[int] = (),
-) -> ProcessResult:
-    """Run one program of OpenFOAM in ``folder``, its log beside it; raises what ``error`` makes of a failure."""
-    log = folder / f"log.{command[0]}"
-    with _held(folder) as descriptor:
-        prefix = []
-        if environment.get("PWD") == CWD and ranks == 1:
-            # decomposePar goes into another folder for a moment, and its working folder is no longer the case
-            environment = {**environment, "PWD": f"/proc/self/fd/{descriptor}"}
-        elif environment.get("PWD") == CWD:
-            prefix = ["env", f"PWD={CWD}"]  # mpirun gives its ranks the real name
-        # The log holds the last start only, so it cannot grow without end.
-        result = run_ranks(
-            [*prefix, *command],
-            ranks,
-            oversubscribe=oversubscribe,
-            cwd=folder,
-            log=log,
-            env=environment,
-            timeout=time_limit,
-            pass_fds=(descriptor, *pass_fds),
-        )
-    if result.status == "interrupted":
-        raise KeyboardInterrupt  # which the runner took for us: the run is interrupted, it did not fail
-    if result.status != "exited" or result.returncode != 0:
-        raise error(command[0], result, log)
-    if "End" not in result.last_lines:
-        raise RunError(f"{command[0]} ended without its end marker; see {log}", "no-end-marker")
-    return result
-
-
-@contextmanager
-def _held(folder: Path) -> Iterator[int]:
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        yield descriptor
-    finally:
-        os.close(descriptor)
+    return cpu
 
 
 def _parts(folder: Path) -> list[Path]:

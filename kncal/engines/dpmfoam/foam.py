@@ -11,8 +11,9 @@ from typing import Any
 from kncal.core.checks import Array, in_range, positive
 from kncal.core.errors import RunError
 from kncal.engines.base import GasSetup
-from kncal.engines.dpmfoam.case import STATE, inlet_velocity, install_state, make_mesh, set_case_inlet, write_case
+from kncal.engines.dpmfoam.case import STATE, inlet_velocity, install_state, set_case_inlet, write_case
 from kncal.engines.dpmfoam.forces import Exchange
+from kncal.engines.dpmfoam.programs import make_mesh
 from kncal.record.steps import GasFields, GasStep
 
 

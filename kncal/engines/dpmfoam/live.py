@@ -16,9 +16,9 @@ from kncal.core.errors import InputError
 from kncal.core.solver_process import PeerLostError, SolverProcess
 from kncal.engines.base import GasSetup
 from kncal.engines.dpmfoam.adapter_build import LIBRARY, AdapterError
-from kncal.engines.dpmfoam.case import SOLVER, case_environment, process_error
 from kncal.engines.dpmfoam.foam import FoamGas, lost_parcels
 from kncal.engines.dpmfoam.memory import ExchangeMemory
+from kncal.engines.dpmfoam.programs import SOLVER, case_environment, process_error
 from kncal.record.steps import GasStep
 
 _END, _STEP, _SAVE = (number.to_bytes(4, "little") for number in range(3))  # commands of the adapter

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,10 +16,11 @@ from kncal.core.checks import Array
 from kncal.core.errors import RunError
 from kncal.core.mpi import check_ranks
 from kncal.engines.base import GasSetup
-from kncal.engines.dpmfoam.case import INLET, SOLVER, STATE, case_environment, process_error
-from kncal.engines.dpmfoam.decomposed import decompose, reconstruct, run_in_folder
+from kncal.engines.dpmfoam.case import INLET, STATE
+from kncal.engines.dpmfoam.decomposed import decompose, reconstruct
 from kncal.engines.dpmfoam.foam import FoamGas, lost_parcels
 from kncal.engines.dpmfoam.forces import Parcels
+from kncal.engines.dpmfoam.programs import SOLVER, run_program
 from kncal.record.openfoam import (
     CLOUD,
     read_cells,
@@ -114,20 +114,21 @@ class RestartGas(FoamGas):
         write_parcel_motion(self._start, parcels.x, parcels.cell, parcels.v)
 
     def _run(self, end: Path) -> None:
-        run = partial(
-            run_in_folder,
-            folder=self._folder,
-            environment=case_environment(self._folder),
-            time_limit=self._time_limit,
-            oversubscribe=self._oversubscribe,
-            error=process_error,
-            pass_fds=self._pass_fds,
-        )
+        def run(command: list[str], ranks: int) -> float:
+            return run_program(
+                command,
+                self._folder,
+                ranks=ranks,
+                time_limit=self._time_limit,
+                oversubscribe=self._oversubscribe,
+                pass_fds=self._pass_fds,
+            )
+
         if self._ranks == 1:
-            self._cpu += run([SOLVER, "-noFunctionObjects"], 1).cpu_seconds
+            self._cpu += run([SOLVER, "-noFunctionObjects"], 1)
         else:
             self._cpu += decompose(self._folder, run)
-            self._cpu += run([SOLVER, "-parallel", "-noFunctionObjects"], self._ranks).cpu_seconds
+            self._cpu += run([SOLVER, "-parallel", "-noFunctionObjects"], self._ranks)
             self._cpu += reconstruct(self._folder, end, run)
         if not end.is_dir():
             raise RunError(f"{SOLVER} ended without the time folder {end.name}; see {self._folder / f'log.{SOLVER}'}")
