@@ -58,7 +58,7 @@ def write_case(
     ranks: int = 1,
     oversubscribe: bool = False,
 ) -> None:
-    """Write the case of ``setup`` into ``folder`` (made if missing); it has no mesh yet: see `make_mesh` of ``programs``.
+    """Write the case of ``setup`` into ``folder`` (made if missing); its mesh is that of ``blockMesh``.
 
     Parameters
     ----------
