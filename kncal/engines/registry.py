@@ -47,15 +47,19 @@ ENGINES = Registry(
 )
 
 
-def get_engine(name: str, *, ranks: int = 1, oversubscribe: bool = False) -> Engine:
+def get_engine(name: str, transport: str = "", *, ranks: int = 1, oversubscribe: bool = False) -> Engine:
     """Return an engine by name, for runs on ``ranks`` ranks (see `kncal.core.mpi.check_ranks`).
+
+    ``transport``: of a coupled one ("": "auto").
 
     Raises
     ------
     InputError
         For an unknown name, or a number of ranks that cannot be.
     """
-    return ENGINES.find(name).make(ranks=ranks, oversubscribe=oversubscribe)
+    entry = ENGINES.find(name)
+    given = {"transport": transport or "auto"} if entry.coupled else {}
+    return entry.make(ranks=ranks, oversubscribe=oversubscribe, **given)
 
 
 def engine_for(
@@ -73,7 +77,6 @@ def engine_for(
     InputError
         For an unknown name, or a number of ranks that cannot be.
     """
-    if not isinstance(scene, BedScene):
-        return get_engine(name, ranks=ranks, oversubscribe=oversubscribe)
-    coupled = next(entry for entry in ENGINES.values() if entry.coupled)
-    return coupled.make(transport=transport, ranks=ranks, oversubscribe=oversubscribe)
+    coupled = next(entry.name for entry in ENGINES.values() if entry.coupled)
+    used = coupled if isinstance(scene, BedScene) else name
+    return get_engine(used, transport, ranks=ranks, oversubscribe=oversubscribe)

@@ -12,8 +12,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
@@ -28,10 +27,13 @@ from kncal.core.files import read_json, write_json, write_text
 from kncal.core.mpi import check_ranks
 from kncal.core.scratch import scratch
 from kncal.engines.base import Engine
+from kncal.engines.registry import ENGINES, engine_for
+from kncal.runs.solving import plan_checked
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import CASE, dump_case, load_case
 from kncal.scene.case_text import read_case
 from kncal.scene.finding import Finding
+from kncal.scene.limits import check
 from kncal.scene.model import KINDS, BedModel, Model
 from kncal.scene.overrides import parse_override
 from kncal.scene.scene import Scene
@@ -64,8 +66,7 @@ class Sweep(BaseModel):
     ----------
     kncal : version that made the design
     name : of the case, and of every run's scene
-    bed : whether the case is a bed
-    engine, models, transport : of every run; ``transport`` is "" for single contacts
+    engine, models, transport : of every run; ``transport`` is "" where nothing is coupled
     timeout : wall-clock limit of each model's run [s], or None
     ranks, oversubscribe : of every run, see `kncal.core.mpi.check_ranks`
     runs : id -> the values that the run has in place of the case's, as ``KEY = VALUE``
@@ -77,7 +78,6 @@ class Sweep(BaseModel):
     kncal: str
     name: str
     case_sha256: str
-    bed: bool
     engine: str
     models: list[Literal["linear", "hertz"]]
     transport: str
@@ -190,18 +190,19 @@ def design_points(
     """
     text, name, _ = read_case(case)
     base = load_case(case)
-    bed = isinstance(base, BedScene)
-    engine, transport = ("coupled", settings.transport) if bed else (settings.engine, "")
+    shared: dict[str, Any] = {"ranks": settings.ranks, "oversubscribe": settings.oversubscribe}
+    engine = engine_for(base, settings.engine, settings.transport, **shared)
+    transport = settings.transport if ENGINES[engine.name].coupled else ""
     runs: dict[str, list[str]] = {}
     refused: list[Refused] = []
     ids: list[str | None] = []
-    id_of = partial(run_id, engine=engine, models=settings.models, transport=transport, ranks=settings.ranks)
-    with _checker(settings, bed) as check:
+    id_of = partial(run_id, engine=engine.name, models=settings.models, transport=transport, ranks=settings.ranks)
+    with scratch() as draft:
         for done, point in enumerate(points, start=1):
             values = [str(override) for override in point]
             try:
                 scene = load_case(case, overrides=values) if values else base
-                models = check(scene)
+                models = _checked(scene, settings.models, engine, draft)
                 written = dump_case(scene)
             except KncalError as error:
                 # the values stand beside the message anyway
@@ -223,13 +224,11 @@ def design_points(
             "kncal": __version__,
             "name": name,
             "case_sha256": hashlib.sha256(text.encode()).hexdigest(),
-            "bed": bed,
-            "engine": engine,
+            "engine": engine.name,
             "models": list(settings.models),
             "transport": transport,
             "timeout": settings.timeout,
-            "ranks": settings.ranks,
-            "oversubscribe": settings.oversubscribe,
+            **shared,
             "created": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
             "runs": runs,
             "refused": refused,
@@ -244,43 +243,18 @@ def _refusal(refused: Sequence[Refused]) -> CaseFileError:
     return CaseFileError(f"points of the sweep that cannot run; nothing was started:\n{named}{more}")
 
 
-@contextmanager
-def _checker(settings: Settings, bed: bool) -> Iterator[Callable[[Scene | BedScene], list[Model] | list[BedModel]]]:
-    """Give what refuses a scene that cannot run (planning, limits, rendering) and returns its models."""
-    if bed:
-        from kncal.engines.coupled import check_bed_ranks
-        from kncal.runs.solving import plan_checked
-
-        def check_bed(scene: Scene | BedScene) -> list[BedModel]:
-            if not isinstance(scene, BedScene):
-                raise CaseFileError("the case becomes one of single contacts; expected a bed like the case itself")
-            check_bed_ranks(scene, settings.ranks)
-            return list(plan_checked(scene, settings.models).values())
-
-        yield check_bed
-        return
-    from kncal.engines.registry import get_engine
-    from kncal.scene.plan import plan
-
-    engine: Engine = get_engine(settings.engine, ranks=settings.ranks, oversubscribe=settings.oversubscribe)
-
-    with scratch() as draft:
-
-        def check_scene(scene: Scene | BedScene) -> list[Model]:
-            if isinstance(scene, BedScene):
-                raise CaseFileError("the case becomes a bed; expected a case of single contacts like the case itself")
-            models = list(plan(scene, settings.models).values())
-            for model in models:
-                engine.render(model, draft)
-            return models
-
-        yield check_scene
+def _checked(scene: Scene | BedScene, kinds: Sequence[str], engine: Engine, draft: Path) -> list[Model | BedModel]:
+    """Return the models of a scene that can run; refused by planning, limits, or what the engine cannot do."""
+    engine.check(scene)
+    models = list(plan_checked(scene, kinds).values())
+    for model in models:
+        if not model.couplings:  # what starts from a packing is rendered when it runs
+            engine.render(model, draft)
+    return models
 
 
-def _warnings(models: Sequence[Model] | Sequence[BedModel]) -> tuple[Finding, ...]:
+def _warnings(models: Sequence[Model | BedModel]) -> tuple[Finding, ...]:
     """Return the limits that these models of one run come near to, each kind once."""
-    from kncal.scene.limits import check
-
     found: dict[str, Finding] = {}
     for model in models:
         for finding in check(model):
@@ -347,7 +321,7 @@ def scene_of(folder: Path, sweep: Sweep, run: str) -> Scene | BedScene:
         raise ReadError(f"{folder / DESIGN}: no run {run!r}")
     scene = load_case(folder / CASE, name=sweep.name, overrides=sweep.runs[run])
     if identity(sweep, dump_case(scene)) != run:
-        raise ReadError(f"{folder / CASE}: changed since the sweep was made: it does not give run {run}; sweep anew")
+        raise ReadError(f"{folder / CASE}: changed since the sweep was made: it does not give run {run}; sweep again into another folder")
     return scene
 
 

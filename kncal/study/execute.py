@@ -21,8 +21,10 @@ from kncal.core.lock import FolderInUseError
 from kncal.core.mpi import check_fit
 from kncal.core.stopping import check_stop, stoppable
 from kncal.engines.base import Profile
+from kncal.engines.registry import get_engine
 from kncal.runs.folder import read_result
 from kncal.runs.records import MANIFEST
+from kncal.runs.workflow import run_case
 from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import CASE, MOST_BYTES
 from kncal.scene.scene import Scene
@@ -203,12 +205,9 @@ def _run(sweep: Sweep, scene: Scene | BedScene, out: Path) -> None:
 
 
 def _run_case(sweep: Sweep, scene: Scene | BedScene, out: Path) -> None:
-    from kncal.engines.registry import engine_for
-    from kncal.runs.workflow import run_case
-
     run_case(
         scene,
-        engine_for(scene, sweep.engine, sweep.transport, ranks=sweep.ranks, oversubscribe=sweep.oversubscribe),
+        get_engine(sweep.engine, sweep.transport, ranks=sweep.ranks, oversubscribe=sweep.oversubscribe),
         out,
         sweep.models,
         timeout=sweep.timeout,

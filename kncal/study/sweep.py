@@ -18,6 +18,7 @@ from kncal.core.awake import awake
 from kncal.core.errors import InputError, InterruptedRunError, ReadError, SolverMissingError
 from kncal.core.lock import LOCK, locked, sign
 from kncal.engines.base import Profile
+from kncal.engines.registry import get_engine
 from kncal.scene.case_file import CASE
 from kncal.study.design import DESIGN, RUNS, Sweep, is_design, read_design, run_folder, write_design
 from kncal.study.execute import Executor, Record, ThreadExecutor, ended, finished, present
@@ -83,7 +84,7 @@ def run_sweep(
     """Run all runs of a design that have no valid results in ``folder`` yet, and write the table.
 
     Runs of an earlier design in the same folder stay; those that this one shares with it are not run again. An
-    unfinished run starts anew (what it left moves to its ``attempt-N``); a bed's goes on from its last checkpoint.
+    unfinished run starts again (what it left moves to its ``attempt-N``); one with gas continues from its checkpoint.
     Results of another version of kncal or of the solver count as none (runs elsewhere: of kncal alone, as the solver
     there is not known here).
 
@@ -136,14 +137,8 @@ def prepare_sweep(sweep: Sweep, case_text: str, folder: Path) -> list[str]:
 
 
 def _solver(sweep: Sweep) -> Profile:
-    if sweep.bed:
-        from kncal.engines.coupled import Coupled
-
-        profile = Coupled(sweep.transport, ranks=sweep.ranks, oversubscribe=sweep.oversubscribe).profile()
-    else:
-        from kncal.engines.registry import get_engine
-
-        profile = get_engine(sweep.engine, ranks=sweep.ranks, oversubscribe=sweep.oversubscribe).profile()
+    engine = get_engine(sweep.engine, sweep.transport, ranks=sweep.ranks, oversubscribe=sweep.oversubscribe)
+    profile = engine.profile()
     if profile.program is None:
         raise SolverMissingError(profile.problem)
     return profile
@@ -185,7 +180,7 @@ def _tell_version(folder: Path) -> None:
         return  # a new sweep, or a design that is replaced now
     if before != __version__:
         logging.getLogger("kncal").warning(
-            "kncal: results of kncal %s here are made anew by kncal %s; the old ones stay in attempt-N",
+            "kncal: results of kncal %s here are computed again by kncal %s; the old ones stay in attempt-N",
             before,
             __version__,
         )
@@ -223,7 +218,7 @@ class _Session:
             done = self._count[True]
             raise InterruptedRunError(
                 f"interrupted: {done} of {len(self._sweep.runs)} runs are completed, the table is in "
-                f"{self._folder}; run the same command again to go on"
+                f"{self._folder}; run the same command again to continue"
             ) from None
         finally:
             states.close()
