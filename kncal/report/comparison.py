@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,16 +12,16 @@ import numpy as np
 from kncal.core.files import write_csv, write_json
 from kncal.core.units import percent, quantity
 from kncal.observe.compare import Comparison
-from kncal.physics.methods import METHODS
+from kncal.observe.cost import Cost
 from kncal.record.series import write_series_csv
-from kncal.report.figures import draw_bed, draw_calibration, draw_contacts
+from kncal.report.figures import draw_calibration, draw_comparison
 from kncal.report.overview import Context
 from kncal.report.page import Page, Section, Table, report_folder, write_page
-from kncal.report.rows import Rows, table_of
-from kncal.report.settings import bed_conventions, bed_settings, contact_end
+from kncal.report.rows import table_of
+from kncal.report.settings import conventions, run_settings
 from kncal.report.speeds import speeds_section
 from kncal.report.style import Album
-from kncal.scene.scene import ContactChoice
+from kncal.scene.species import listed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -51,6 +51,7 @@ _ACCURACY = {
 _NEEDS = {"physics": ("physics", ""), "needed": ("used", ""), "why": ("why", ""), "decided_by": ("decided by", "")}
 _EXACT = {"ok": "yes", "outside": "no", "-": "–"}
 _DIFFERENCE = "Difference: linear minus Hertz, relative to Hertz unless the row says otherwise"
+_SEEN = "Difference seen: whether it is larger than its ±."
 
 
 def write_report(
@@ -82,75 +83,63 @@ def write_report(
     RenderError
         If ``folder`` is a file or a symbolic link.
     """
-    scene, said = comparison.reference.model.scene, comparison.verdict
+    scene, context = comparison.reference.model.scene, context or Context()
+    accuracy = _with_cost(context.errors, comparison)
     with report_folder(folder) as drawn:
         album = Album(drawn)
-        if comparison.run.signals is not None:
-            texts = tuple(dict.fromkeys((*warnings, *_contact_warnings(comparison))))
-            draw_bed(comparison, album)
-            middle = _bed_sections(comparison, texts, album)
-            data: dict[str, Any] = {**comparison.to_dict(), "warnings": list(texts)}
-            tables: dict[str, pd.DataFrame] = {}
-            for run in comparison.runs:
-                write_series_csv(folder / f"{run.model.kind}.csv", run.series)
-        else:
-            context = context or Context()
-            accuracy = _with_cost(context.errors, comparison)
-            draw_contacts(comparison, album)
-            draw_calibration(context.kn_curves, accuracy, album)
-            middle = _contact_sections(comparison, context, accuracy, album)
-            data = comparison.to_dict()
-            tables = {"calibration.csv": context.methods, "speed_accuracy.csv": accuracy}
-    write_json(folder / "comparison.json", {**data, "provenance": dict(provenance)})
-    tables = {"metrics.csv": comparison.to_frame(), **{name: table for name, table in tables.items() if len(table)}}
+        draw_comparison(comparison, album)
+        draw_calibration(context.kn_curves, accuracy, album)
+        told = tuple(dict.fromkeys((*warnings, *(text for code, text in comparison.limits if code != "attraction"))))
+        sections = _sections(comparison, context, accuracy, told, album)
+    write_json(
+        folder / "comparison.json", {**comparison.to_dict(), "warnings": list(told), "provenance": dict(provenance)}
+    )
+    tables = {"metrics.csv": comparison.to_frame(), "calibration.csv": context.methods, "speed_accuracy.csv": accuracy}
+    tables = {name: table for name, table in tables.items() if len(table)}
     for name, table in tables.items():
         write_csv(folder / name, table, _units(table))
-    series = ("linear.csv", "hertz.csv") if comparison.run.signals is not None else ()
+    series = {f"{run.model.kind}.csv": run.signals for run in comparison.runs if run.signals is not None}
+    for name, signals in series.items():
+        write_series_csv(folder / name, signals)
     source = f" Source: {scene.source}" if scene.source else ""
     page = Page(
         case=scene.name,
         title=scene.title,
         subject="linear spring against Hertz",
         about=f"Case {scene.name}: linear spring–dashpot contact against a Hertz-type contact.{source}",
-        verdict=said,
-        sections=middle,
+        verdict=comparison.verdict,
+        sections=sections,
         provenance=provenance,
         files=("comparison.json", *tables, *series),
     )
     return write_page(page, folder)
 
 
-def _rows_section(rows: Rows, remark: str, costs: Table) -> Section:
-    return Section(
-        title="Linear against Hertz",
-        table=rows.table,
-        remark=remark,
-        notes=rows.notes,
-        parts=(
-            Section(title="Not shown by these runs", points=rows.unseen, folded=True),
-            Section(title="Cost", table=costs),
-        ),
-    )
-
-
-def _contact_sections(
-    comparison: Comparison, context: Context, accuracy: pd.DataFrame, album: Album
+def _sections(
+    comparison: Comparison, context: Context, accuracy: pd.DataFrame, warnings: tuple[str, ...], album: Album
 ) -> tuple[Section, ...]:
-    scene = comparison.reference.model.scene
-    basis = comparison.row("trajectory").basis
-    remark = (
-        f"{_DIFFERENCE}; ± the predicted error of the time step in both runs together. Exact difference: the same for"
-        " the exact solutions, free of any time step. Difference seen: whether it is larger"
-        " than its ±. A row is undecided if ± is too large to tell. Trajectory:"
-        f" distance of the same particle in both runs at equal times, by the {basis}."
-    )
+    """The sections that the runs have something for; the page leaves out empty ones."""
+    rows = table_of(comparison.rows)
+    figures = tuple(album.figures)  # those of the speeds stand in their own section
     methods, shared = _split_warnings(context.methods)
+    models = (comparison.run.model, comparison.reference.model)
     return (
-        _rows_section(table_of(comparison.rows), remark, _cost_table(comparison)),
+        Section(
+            title="Linear against Hertz",
+            table=rows.table,
+            remark=_remark(comparison),
+            notes=rows.notes,
+            parts=(
+                Section(title="Not shown by these runs", points=rows.unseen, folded=True),
+                Section(title="Cost", table=_cost_table(comparison)),
+            ),
+        ),
         Section(
             title="Can the runs be trusted?",
+            table=_invariant_table(comparison),
+            remark="The worst value of each whole run, start-up included. The weight balance is that of the averages.",
             parts=(
-                Section(title="Warnings about the contacts", points=tuple(text for _, text in comparison.limits)),
+                Section(title="Limits and warnings", points=warnings),
                 Section(
                     title="Each run against its own exact solution",
                     table=_exact_table(comparison),
@@ -159,7 +148,8 @@ def _contact_sections(
                 ),
             ),
         ),
-        Section(title="Figures", figures=tuple(album.figures)),
+        Section(title="Figures", figures=figures),
+        speeds_section(comparison.runs, album),
         Section(
             title="Linear stiffness by every method",
             table=_frame_table(methods, _METHODS),
@@ -172,42 +162,29 @@ def _contact_sections(
             " moment of first touch within a step.",
         ),
         Section(title="Physics that this case needs", table=_frame_table(context.needs, _NEEDS), folded=True),
-        Section(title="Conventions", text=(contact_end(scene.contact), _method(scene.contact)), folded=True),
+        Section(title="How it was run", table=run_settings(*models, comparison.costs)),
+        Section(
+            title="Conventions",
+            text=(*conventions(*models, {row.metric for row in comparison.rows if row.seen}), *_attraction(comparison)),
+            folded=True,
+        ),
     )
 
 
-def _bed_sections(comparison: Comparison, warnings: tuple[str, ...], album: Album) -> tuple[Section, ...]:
-    rows = table_of(comparison.rows)
-    shown = {row[0].split("\u202f")[0] for row in rows.table.rows}
-    remark = (
-        f"Time averages after the start-up ({_windows(comparison)}); ± half the 95 % confidence interval."
-        f" {_DIFFERENCE}; the runs are independent, so their uncertainties add in squares."
-        " Difference seen: whether it is larger than its ±. A row is ok if"
-        " the whole interval of its difference is within the allowed range, outside if the whole"
-        " interval is outside, undecided if the runs are too short to tell."
-    )
-    figures, models = tuple(album.figures), (comparison.run.model, comparison.reference.model)
+def _remark(comparison: Comparison) -> str:
+    """How the table of the rows is to be read."""
+    if comparison.run.signals is not None:
+        return (
+            f"Time averages after the start-up ({_windows(comparison)}); ± half the 95 % confidence interval."
+            f" {_DIFFERENCE}; the runs are independent, so their uncertainties add in squares. {_SEEN}"
+            " A row is ok if the whole interval of its difference is within the allowed range, outside if the whole"
+            " interval is outside, undecided if the runs are too short to tell."
+        )
     return (
-        _rows_section(rows, remark, _cost_table(comparison)),
-        Section(
-            title="Can the runs be trusted?",
-            table=_invariant_table(comparison),
-            remark="The worst value of each whole run, start-up included. The weight balance is that of the averages.",
-            parts=(Section(title="Limits and warnings", points=warnings),),
-        ),
-        Section(title="Figures", figures=figures),
-        speeds_section(comparison.runs, album),
-        Section(
-            title="How it was run",
-            table=bed_settings(*models, comparison.costs),
-            parts=(
-                Section(
-                    title="Conventions",
-                    text=bed_conventions(*models, shown),
-                    folded=True,
-                ),
-            ),
-        ),
+        f"{_DIFFERENCE}; ± the predicted error of the time step in both runs together. Exact difference: the same for"
+        f" the exact solutions, free of any time step. {_SEEN} A row is undecided if ± is too large to tell."
+        " Trajectory: distance of the same particle in both runs at equal times, by the"
+        f" {comparison.row('trajectory').basis}."
     )
 
 
@@ -220,16 +197,28 @@ def _windows(comparison: Comparison) -> str:
     return "; ".join(texts)
 
 
+def _attraction(comparison: Comparison) -> list[str]:
+    """The attraction at the end of a contact, which nearly every damped contact has: each text once, with its pairs."""
+    pairs: dict[str, list[str]] = {}
+    for run in comparison.runs:
+        for pair, contact in run.model.named.items():
+            if text := contact.warnings.get("attraction"):
+                pairs.setdefault(text, []).append("–".join(pair))
+    return [f"{listed(list(dict.fromkeys(names)))}: {text}." for text, names in pairs.items()]
+
+
 def _cost_table(comparison: Comparison) -> Table:
     """Return what the runs cost; what none of them has (particles that move, gas) has no lines."""
-    rows: list[tuple[str, ...]] = []
     costs, timed = comparison.costs, comparison.speed.cpu is not None
     coupled = any(c.couplings for c in costs)
     totals = [c.total for c in costs]
+    rows: list[tuple[str, ...]] = []
 
-    def line(name: str, values: Sequence[float | None], unit: str, digits: int = 3, *, ratio: bool = True) -> None:
-        linear, hertz = values
-        texts = [quantity(value, unit, digits) for value in values]
+    def line(
+        name: str, value: Callable[[Cost], float | None], unit: str = "", digits: int = 3, *, ratio: bool = True
+    ) -> None:
+        values = linear, hertz = [value(cost) for cost in costs]
+        texts = [quantity(each, unit, digits) for each in values]
         if coupled and name.startswith("CPU time of"):
             parts = zip(texts, values, totals, strict=True)
             texts = [
@@ -239,21 +228,21 @@ def _cost_table(comparison: Comparison) -> Table:
 
     if not coupled or any(c.cpu_seconds for c in costs):
         rows.append(("solver of the contacts", *(f"{c.engine} {c.version}" for c in costs), "–"))
-        line("steps", [c.steps for c in costs], "")
-        line("time step dt", [c.dt for c in costs], "s", 5)
-        line("steps per (shortest) contact", [c.steps_per_contact for c in costs], "–", 4)
-        line("CPU time of the particles", [c.cpu_seconds for c in costs], "s", ratio=timed)
-        line("CPU time per step", [c.cpu_per_step for c in costs], "s", ratio=timed)
+        line("steps", lambda c: c.steps)
+        line("time step dt", lambda c: c.dt, "s", 5)
+        line("steps per (shortest) contact", lambda c: c.steps_per_contact, "–", 4)
+        line("CPU time of the particles", lambda c: c.cpu_seconds, "s", ratio=timed)
+        line("CPU time per step", lambda c: c.cpu_per_step, "s", ratio=timed)
     if max(c.runs for c in costs) > 1:
         spread = (f"{quantity(c.cpu_low, 's', 3)} to {quantity(c.cpu_high, 's', 3)}, {c.runs} runs" for c in costs)
         rows.append(("CPU time, smallest to largest", *spread, "–"))
     if coupled:
-        line("couplings", [c.couplings for c in costs], "")
-        line("CPU time of the gas", [c.gas for c in costs], "s", ratio=timed)
-        line("CPU time of the exchange", [c.exchange for c in costs], "s", ratio=timed)
-        line("CPU time, total", totals, "s", ratio=timed)
-        line("CPU time per simulated second", [c.total / c.simulated for c in costs], "s", ratio=timed)
-    line("wall time", [c.wall_seconds for c in costs], "s", ratio=coupled)
+        line("couplings", lambda c: c.couplings)
+        line("CPU time of the gas", lambda c: c.gas, "s", ratio=timed)
+        line("CPU time of the exchange", lambda c: c.exchange, "s", ratio=timed)
+        line("CPU time, total", lambda c: c.total, "s", ratio=timed)
+        line("CPU time per simulated second", lambda c: c.total / c.simulated, "s", ratio=timed)
+    line("wall time", lambda c: c.wall_seconds, "s", ratio=coupled)
     return Table(("", "linear", "Hertz", "Hertz / linear"), tuple(rows))
 
 
@@ -290,16 +279,6 @@ def _invariant_table(comparison: Comparison) -> Table:
     return Table(("", "", "linear", "Hertz", "limit", ""), rows, text=(0, 1, 5))
 
 
-def _contact_warnings(comparison: Comparison) -> list[str]:
-    """What the calibration says about the pairs, each text once."""
-    return [
-        f"{'–'.join(pair)}: {warning}"
-        for data in comparison.runs
-        for pair, contact in data.model.named.items()
-        for warning in contact.warnings.values()
-    ]
-
-
 def _split_warnings(table: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
     """The table with only each method's own warnings, and the warnings that all methods share."""
     if "warnings" not in table.columns or not len(table):
@@ -311,17 +290,6 @@ def _split_warnings(table: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
     if not any(own):
         return table.drop(columns="warnings"), shared
     return table.assign(warnings=own), shared
-
-
-def _method(contact: ContactChoice) -> str:
-    """What the method keeps and loses, or that the case prescribes k_n."""
-    if contact.k_n is not None:
-        return "The linear stiffness is prescribed by the case."
-    m = METHODS.find(contact.method)
-    return (
-        f"Linear stiffness by {m.name}: {m.title}. Keeps {m.keeps}. Loses {m.loses}. Not for: {m.avoid}."
-        f" Source: {m.source}."
-    )
 
 
 def _with_cost(error_table: pd.DataFrame, comparison: Comparison) -> pd.DataFrame:

@@ -31,7 +31,15 @@ if TYPE_CHECKING:
 _POINTS = 600
 
 
-def draw_contacts(comparison: Comparison, album: Album) -> None:
+def draw_comparison(comparison: Comparison, album: Album) -> None:
+    """Draw every picture that the records of both runs allow."""
+    if all(run.frames is not None for run in comparison.runs):
+        _draw_contacts(comparison, album)
+    if all(run.signals is not None for run in comparison.runs):
+        _draw_signals(comparison, album)
+
+
+def _draw_contacts(comparison: Comparison, album: Album) -> None:
     """Draw the first contact of both runs, and their motion."""
     _first_contacts(comparison, album)
     label, paths = _motions(comparison)
@@ -112,8 +120,8 @@ _OBSERVED: Mapping[str, tuple[str, Any, str, str]] = {
 }
 
 
-def draw_bed(comparison: Comparison, album: Album) -> None:
-    """Draw every picture that the runs of a bed allow.
+def _draw_signals(comparison: Comparison, album: Album) -> None:
+    """Draw every picture that the signals of both runs allow.
 
     The animation is a GIF, its last picture a PNG; with the extra ``kncal[mp4]`` there is an MP4 as well.
     """

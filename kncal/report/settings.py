@@ -6,9 +6,11 @@ from collections.abc import Set
 from typing import Any
 
 from kncal.core.units import percent, quantity
+from kncal.physics.methods import METHODS
 from kncal.report.page import Table
 from kncal.scene.bed_scene import Gas
-from kncal.scene.model import BedModel
+from kncal.scene.model import Plan
+from kncal.scene.scene import ContactChoice
 
 _DRAGS = {
     "ErgunWenYu": "Ergun below a void fraction of 0.8, Wen and Yu above (Gidaspow's combination)",
@@ -34,14 +36,11 @@ _ENDS = {
 }
 
 
-def contact_end(contact: Any) -> str:
-    """Return what the end of a contact means, for a contact of a scene of any kind."""
-    return _ENDS[contact.end]
-
-
-def bed_settings(linear: BedModel, hertz: BedModel, costs: tuple[Any, Any]) -> Table:
-    """Return how two runs of a bed were made; ``costs`` say by which transport."""
+def run_settings(linear: Plan[Any], hertz: Plan[Any], costs: tuple[Any, Any]) -> Table:
+    """Return how two coupled runs were made; ``costs`` say by which transport. Empty where nothing is coupled."""
     models = (linear, hertz)
+    if not hertz.couplings:
+        return Table((), ())
     scene = hertz.scene
     column, particles, gas = scene.column, scene.particles, scene.gas
     box = (column.width, column.depth, column.height)
@@ -81,7 +80,7 @@ def _inlet(gas: Gas) -> str:
     return f"ramp over {len(gas.ramp)} points" if gas.ramp else f"{quantity(gas.U_0, 'm/s')} over the floor"
 
 
-def _contact(model: BedModel, pair: tuple[str, str]) -> str:
+def _contact(model: Plan[Any], pair: tuple[str, str]) -> str:
     c = model.named.get(pair)
     if c is None:
         return "–"
@@ -89,10 +88,10 @@ def _contact(model: BedModel, pair: tuple[str, str]) -> str:
     return f"{c.law}: {stiffness}, e_n = {c.e_n:g}, friction {c.friction:g}, t_c = {quantity(c.t_c, 's', 3)}"
 
 
-def bed_conventions(linear: BedModel, hertz: BedModel, shown: Set[str]) -> tuple[str, ...]:
+def conventions(linear: Plan[Any], hertz: Plan[Any], shown: Set[str]) -> tuple[str, ...]:
     """Return what the numbers mean; of the metrics only those in ``shown``."""
     scene = hertz.scene
-    texts = [_MODEL_B] if scene.gas is not None else []
+    texts = [_MODEL_B] if getattr(scene, "gas", None) is not None else []
     if hertz.contacts:
         ratios = {pair: c.k_t / c.k for pair, c in linear.named.items() if c.friction > 0.0}
         listed = ", ".join(f"{ratio:.3g} ({'–'.join(pair)})" for pair, ratio in ratios.items())
@@ -104,7 +103,7 @@ def bed_conventions(linear: BedModel, hertz: BedModel, shown: Set[str]) -> tuple
                 " tangential spring and no tangential damping. The two decks differ only in the normal law, its"
                 " tangential stiffness and the time step."
             )
-        texts += [f"Tangential stiffness: {tangential}", contact_end(scene.contact)]
+        texts += [f"Tangential stiffness: {tangential}", _ENDS[scene.contact.end], _method(scene.contact)]
     if any(name.startswith("bubble_") for name in shown):
         texts.append("Bubbles are connected cells with a void fraction above 0.7 that do not reach the freeboard.")
     if "bed_height" in shown:
@@ -112,3 +111,14 @@ def bed_conventions(linear: BedModel, hertz: BedModel, shown: Set[str]) -> tuple
     if "overlap_share" in shown:
         texts.append(f"overlap_share counts contacts above {percent(0.01).lstrip('+')} of the diameter.")
     return tuple(texts)
+
+
+def _method(contact: ContactChoice) -> str:
+    """What the method keeps and loses, or that the case prescribes k_n."""
+    if contact.k_n is not None:
+        return "The linear stiffness is prescribed by the case."
+    m = METHODS.find(contact.method)
+    return (
+        f"Linear stiffness by {m.name}: {m.title}. Keeps {m.keeps}. Loses {m.loses}. Not for: {m.avoid}."
+        f" Source: {m.source}."
+    )

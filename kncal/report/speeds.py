@@ -38,7 +38,7 @@ def speeds_section(runs: tuple[RunData, ...], album: Album) -> Section:
     first = len(album.figures)
     for data in runs:
         name = model_name(data.model.kind)
-        if not data.model.contacts:
+        if data.signals is None or not data.model.contacts:
             continue
         if not data.series.facts.impact_edges:
             sentences.append(
@@ -50,7 +50,6 @@ def speeds_section(runs: tuple[RunData, ...], album: Album) -> Section:
         for kind in KINDS_OF_IMPACTS:
             v_0 = data.model.between(PARTICLES, kind).v_0
             rows.append(_row(name, speeds[kind], v_0))
-            sentences += _beside(name, speeds[kind], v_0)
             notes |= dict.fromkeys(_doubts(name, speeds[kind]))
         if any(found.count for found in speeds.values()):
             album.add(
@@ -59,6 +58,11 @@ def speeds_section(runs: tuple[RunData, ...], album: Album) -> Section:
                 f"{name}: share of impacts per decade of speed, with the three speeds of each pair.",
                 f"Distribution of impact speeds, {name} run.",
             )
+    if any(row[-1] in ("below", "above") for row in rows):
+        sentences.append(
+            "v_0 is not within the energy-weighted interval everywhere (last column): kncal kn --from-run gives the k_n"
+            " that belongs to the measured speed."
+        )
     figures = tuple(album.figures[first:])
     del album.figures[first:]
     headings = ("run", "contact of", "impacts", "mean", "energy-weighted", "99 %", "v_0", "v_0 is")
@@ -84,16 +88,6 @@ def _place(speeds: ImpactSpeeds, v_0: float | None) -> str:
     if found is None or v_0 is None:
         return ""
     return "below" if v_0 < found.low else "above" if v_0 > found.high else "within"
-
-
-def _beside(name: str, speeds: ImpactSpeeds, v_0: float | None) -> Iterator[str]:
-    place, found = _place(speeds, v_0), speeds.speeds.get("energy_weighted")
-    if place in ("below", "above") and found is not None:
-        yield (
-            f"{name}, {WHO[speeds.kind]}: v_0 = {quantity(v_0, 'm/s', 3)} is {place} the energy-weighted mean,"
-            f" {_shown(found)}{' (not reliable)' if found.why else ''}; kncal kn --from-run gives the k_n that belongs"
-            " to it."
-        )
 
 
 def _doubts(name: str, speeds: ImpactSpeeds) -> Iterator[str]:

@@ -194,6 +194,7 @@ def test_hostile_text_is_shown_not_obeyed(hostile):
 def test_the_numbers_beside_the_page_are_those_of_the_comparison(comparison, report):
     data = json.loads((report.parent / "comparison.json").read_text(encoding="utf-8"))
     assert data.pop("provenance")["linear"]["command"][0] == "stdbuf"
+    assert data.pop("warnings") == []
     assert data == json.loads(json.dumps(comparison.to_dict()))
     metrics = pd.read_csv(report.parent / "metrics.csv", comment="#").set_index("metric")
     for row in comparison.rows:
