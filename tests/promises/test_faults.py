@@ -200,7 +200,7 @@ def test_no_traceback_and_never_exit_code_1(here, done: Path, tmp_path: Path, mo
     report = tmp_path / "page"
     expected = 2
     if trouble == "memory":
-        monkeypatch.setattr("kncal.report.comparison.draw_contacts", lambda *_: (_ for _ in ()).throw(MemoryError))
+        monkeypatch.setattr("kncal.report.comparison.draw_comparison", lambda *_: (_ for _ in ()).throw(MemoryError))
         expected = 3
     elif trouble == "file":
         report.write_text("precious")
