@@ -20,11 +20,11 @@ from kncal.observe.difference import finite, rows_between, scale_of
 from kncal.observe.estimate import Estimate
 from kncal.observe.invariants import Invariant, invariants
 from kncal.observe.known import known_answers
-from kncal.observe.row import COLUMNS, Row, needed_end
+from kncal.observe.row import COLUMNS, Row, needed_end, row_of
 from kncal.observe.run_data import RunData
 from kncal.observe.verdict import Verdict, verdict
 from kncal.scene.limits import no_contact
-from kncal.scene.metrics import metric_order, metric_text, metric_unit
+from kncal.scene.metrics import metric_order
 from kncal.scene.model import Plan
 from kncal.scene.species import listed
 
@@ -218,13 +218,11 @@ def _exact_rows(data: RunData) -> list[Row]:
         explained = "-"
         if deviation is not None and predicted is not None:
             explained = "ok" if abs(deviation) <= PREDICTION_MARGIN * predicted else "outside"
-        row = Row(
-            metric=name,
-            unit=metric_unit(name),
-            text=metric_text(name),
-            run=found,
-            reference=Estimate(value=exact, width=0.0),
-            difference=Estimate(value=deviation, width=predicted),
+        row = row_of(
+            name,
+            found,
+            Estimate(value=exact, width=0.0),
+            Estimate(value=deviation, width=predicted),
             scale=scale,
             basis=basis,
             verdict=explained,

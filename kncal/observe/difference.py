@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,10 +16,10 @@ from kncal.core.errors import InputError
 from kncal.core.units import quantity
 from kncal.observe.averages import voidage_difference
 from kncal.observe.estimate import Estimate, apart, missing
-from kncal.observe.row import RMS, Row, judge
+from kncal.observe.row import RMS, Row, judge, row_of
 from kncal.observe.run_data import RunData
 from kncal.record.frames import Trajectory
-from kncal.scene.metrics import METRICS, metric_order, metric_text, metric_unit
+from kncal.scene.metrics import METRICS, metric_order, metric_unit
 
 #: A reference below this share of its natural scale counts as zero: a relative difference would be noise.
 NEGLIGIBLE = 1e-12
@@ -70,7 +70,7 @@ def finite(value: float | None) -> float | None:
 def value_row(name: str, run: RunData, reference: RunData, names: tuple[str, str]) -> Row:
     """Return the row of one metric of ``run`` and ``reference``, not judged; divided by `scale_of` the reference's."""
     a, b = run.estimate(name), reference.estimate(name)
-    row = _row(name, a, b, missing(""))
+    row = row_of(name, a, b, missing(""))
     if a.value is None or b.value is None:
         said = [f"{who}: {side.why}" for who, side in zip(names, (a, b), strict=True) if side.value is None]
         return replace(row, reason=a.why if len(said) == 2 and a.why == b.why else "; ".join(said))
@@ -96,7 +96,7 @@ def field_row(name: str, run: RunData, reference: RunData) -> Row:
     try:
         rms, noise = voidage_difference(run.series, reference.series, run.seen.begin, reference.seen.begin)
     except InputError as error:
-        return _row(name, missing(""), missing(""), missing(str(error)), reason=str(error))
+        return row_of(name, missing(""), missing(""), missing(str(error)), reason=str(error))
     return field_difference(name, rms, noise, float(max(run.series.t[-1], reference.series.t[-1])))
 
 
@@ -107,19 +107,7 @@ def field_difference(name: str, rms: float, noise: float, end: float) -> Row:
     """
     low = float(np.sqrt(max(rms**2 - (2.0 * noise) ** 2, 0.0)))
     found = Estimate(value=0.5 * (rms + low), width=0.5 * (rms - low), chance=True, end=end)
-    return _row(name, Estimate(value=None, width=noise), missing(""), found, scale=1.0, basis=RMS)
-
-
-def _row(name: str, run: Estimate, reference: Estimate, difference: Estimate, **rest: Any) -> Row:
-    return Row(
-        metric=name,
-        unit=metric_unit(name),
-        text=metric_text(name),
-        run=run,
-        reference=reference,
-        difference=difference,
-        **rest,
-    )
+    return row_of(name, Estimate(value=None, width=noise), missing(""), found, scale=1.0, basis=RMS)
 
 
 def scale_of(name: str, reference: float, label: str, run: RunData) -> tuple[float | None, str]:
@@ -173,9 +161,9 @@ def path_difference(motion: Trajectory, reference: Trajectory, until: float | No
     length, basis = extent(seen, reference.radius)
     none = "the two runs have no common time span"
     rows = tuple(
-        _row(name, missing(""), missing(""), missing(none), reason=none)
+        row_of(name, missing(""), missing(""), missing(none), reason=none)
         if distance is None
-        else _row(name, missing(""), missing(""), Estimate(value=distance / length), scale=length, basis=basis)
+        else row_of(name, missing(""), missing(""), Estimate(value=distance / length), scale=length, basis=basis)
         for name, distance in zip(PATHS, distances, strict=True)
     )
     return PathDifference(rows, length, basis, (start, end))

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from kncal.observe.estimate import Estimate
-from kncal.observe.row import Row, allowed, difference_text, judge
+from kncal.observe.row import Row, allowed, difference_text, judge, row_of
 from kncal.observe.run_data import RunData
-from kncal.scene.metrics import metric_text, metric_unit
 
 #: Metric -> how far from the answer a run may be [-]. Coarse cells and coupled steps cost less than half of the first
 #: two where nothing is wrong; the gas prefers the looser regions of a bed, which raises U_mf by 10 %.
@@ -41,13 +40,11 @@ def known_answers(run: RunData) -> tuple[Row, ...]:
 
 
 def _judge(model: str, metric: str, value: float, width: float, answer: float, source: str) -> Row:
-    row = Row(
-        metric=metric,
-        unit=metric_unit(metric),
-        text=metric_text(metric),
-        run=Estimate(value=value, width=width, chance=True),
-        reference=Estimate(value=answer, width=0.0),
-        difference=Estimate(value=(value - answer) / answer, width=width / abs(answer), chance=True),
+    row = row_of(
+        metric,
+        Estimate(value=value, width=width, chance=True),
+        Estimate(value=answer, width=0.0),
+        Estimate(value=(value - answer) / answer, width=width / abs(answer), chance=True),
         scale=abs(answer),
         basis=source,
         model=model,

@@ -9,6 +9,7 @@ from typing import Any
 
 from kncal.core.units import percent, plus_minus
 from kncal.observe.estimate import Estimate, decide
+from kncal.scene.metrics import metric_text, metric_unit
 
 #: The basis of a difference of two fields.
 RMS = "rms over the cells, absolute"
@@ -89,6 +90,12 @@ class Row:
 
 #: The columns of a table of rows.
 COLUMNS = tuple(Row(metric="", unit="", text="", run=(_ := Estimate(value=None)), reference=_, difference=_).to_dict())
+
+
+def row_of(metric: str, run: Estimate, reference: Estimate, difference: Estimate, **rest: Any) -> Row:
+    """Return the row of a metric, not judged; ``rest``: the other attributes of `Row`."""
+    text, unit = metric_text(metric), metric_unit(metric)
+    return Row(metric=metric, unit=unit, text=text, run=run, reference=reference, difference=difference, **rest)
 
 
 def judge(row: Row, tolerance: float | None) -> Row:

@@ -31,11 +31,25 @@ CONTACTS_LIMIT = 0.1
 #: Overlap under the weight above it, over the diameter: a bed is lower by half of that of its bottom.
 STATIC_LIMIT = OVERLAP_LIMIT
 
-_SMALL = "small-overlap theory of both models (kncal warns beyond it; MFIX reports overlaps above 0.2 R)"
 _CUSTOM = "customary bound on overlaps, 0.1 to 1 % of the diameter (after Lan & Rosato, Phys. Fluids 9 (1997) 3615)"
-_WALL = "a particle is through when its centre is: with 100 N/m they pass a cyclone's wall, with 1000 not (MFIX FAQ)"
-_SOUND = "sound ten times as fast as what moves keeps densities within 1 % (Monaghan, J. Comput. Phys. 110 (1994) 399)"
-_CONTACTS = "a convention of kncal: a tenth"
+#: Sign -> the limit from which it matters, and where that is from.
+_LIMITS: Mapping[str, tuple[float, str]] = {
+    "overlap_share": (
+        OVERLAP_DOUBTFUL,
+        "small-overlap theory of both models (kncal warns beyond it; MFIX reports overlaps above 0.2 R)",
+    ),
+    "mean_overlap": (OVERLAP_LIMIT, _CUSTOM),
+    "static_overlap": (STATIC_LIMIT, _CUSTOM),
+    "leaking": (
+        0.0,
+        "a particle is through when its centre is: with 100 N/m they pass a cyclone's wall, with 1000 not (MFIX FAQ)",
+    ),
+    "sound_speed": (
+        MACH_LIMIT,
+        "sound ten times as fast as what moves keeps densities within 1 % (Monaghan, J. Comput. Phys. 110 (1994) 399)",
+    ),
+    "contact_number": (CONTACTS_LIMIT, "a convention of kncal: a tenth"),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,16 +58,15 @@ class Sign:
 
     Attributes
     ----------
-    name : "overlap_share", "leaking", "contact_number", "sound_speed_ratio" ...
-    value : what was found, in ``unit``
-    limit : where it begins to matter; ``source``: of this limit
+    name : one of `_LIMITS`
+    value : what was found [-]
+    limit : where it begins to matter [-]; ``source``: of this limit
     changed : whether it is beyond the limit
     text : one sentence
     """
 
     name: str
     value: float
-    unit: str
     limit: float
     source: str
     changed: bool
@@ -149,18 +162,11 @@ def _contact_number(data: RunData, reference: RunData) -> Sign:
     relative, width = between.value or 0.0, between.deciding
     found = decide(abs(relative), width, CONTACTS_LIMIT)
     undecided = "; undecided, the runs are short" if found == "undecided" else ""
-    return Sign(
-        name="contact_number",
-        value=relative,
-        unit="–",
-        limit=CONTACTS_LIMIT,
-        source=_CONTACTS,
-        changed=found == "outside",
-        text=(
-            f"{here.value:.3g} contacts per particle, {there.value:.3g} in the reference:"
-            f" {100.0 * relative:+.2g} ± {100.0 * width:.2g} %{undecided}."
-        ),
+    text = (
+        f"{here.value:.3g} contacts per particle, {there.value:.3g} in the reference:"
+        f" {100.0 * relative:+.2g} ± {100.0 * width:.2g} %{undecided}."
     )
+    return _sign("contact_number", relative, text, changed=found == "outside")
 
 
 def _beyond(x: Array | np.ndarray[tuple[int, ...], np.dtype[np.float32]], size: Iterable[float], depth: str) -> int:
@@ -227,73 +233,43 @@ def _through(data: RunData) -> int:
 # --- each sign ----------------------------------------------------------------
 
 
-def _overlap_share(value: float, where: str) -> Sign:
+def _sign(name: str, value: float, text: str, *, changed: bool | None = None) -> Sign:
+    """Return a sign; ``changed``: None if it is so above its limit."""
+    limit, source = _LIMITS[name]
     return Sign(
-        name="overlap_share",
+        name=name,
         value=value,
-        unit="–",
-        limit=OVERLAP_DOUBTFUL,
-        source=_SMALL,
-        changed=value > OVERLAP_DOUBTFUL,
-        text=f"The largest overlap {where} is {value:.3g} of the radius.",
+        limit=limit,
+        source=source,
+        changed=value > limit if changed is None else changed,
+        text=text,
     )
+
+
+def _overlap_share(value: float, where: str) -> Sign:
+    return _sign("overlap_share", value, f"The largest overlap {where} is {value:.3g} of the radius.")
 
 
 def _mean_overlap(value: float) -> Sign:
-    return Sign(
-        name="mean_overlap",
-        value=value,
-        unit="–",
-        limit=OVERLAP_LIMIT,
-        source=_CUSTOM,
-        changed=value > OVERLAP_LIMIT,
-        text=f"The mean overlap of a contact is {100.0 * value:.3g} % of the diameter.",
-    )
+    return _sign("mean_overlap", value, f"The mean overlap of a contact is {100.0 * value:.3g} % of the diameter.")
 
 
 def _leaking(number: int, overlap: float) -> Sign:
     deep = overlap >= 1.0
-    return Sign(
-        name="leaking",
-        value=float(number),
-        unit="–",
-        limit=0.0,
-        source=_WALL,
-        changed=number > 0 or deep,
-        text=(
-            f"{number} centre(s) beyond a wall"
-            + (", and two particles overlapped by a radius or more: they may pass each other." if deep else ".")
-        ),
-    )
+    passed = ", and two particles overlapped by a radius or more: they may pass each other" if deep else ""
+    return _sign("leaking", float(number), f"{number} centre(s) beyond a wall{passed}.", changed=number > 0 or deep)
 
 
 def _static(value: float, where: str) -> Sign:
-    return Sign(
-        name="static_overlap",
-        value=value,
-        unit="–",
-        limit=STATIC_LIMIT,
-        source=_CUSTOM,
-        changed=value > STATIC_LIMIT,
-        text=f"The overlap {where} is {100.0 * value:.3g} % of the diameter.",
-    )
+    return _sign("static_overlap", value, f"The overlap {where} is {100.0 * value:.3g} % of the diameter.")
 
 
 def _sound(speed: float, what: str, contact: PairContact, d: float, mass: float, reference: PairContact | None) -> Sign:
     c = sound_speed(contact, d, mass)
-    value = speed / c
     text = f"Sound would travel at {c:.3g} m/s along a chain of such particles, {what} is {speed:.3g} m/s"
     if reference is not None:
         text += f"; with the real contact it is {math.sqrt(secant(reference) / secant(contact)):.3g} times as fast"
-    return Sign(
-        name="sound_speed",
-        value=value,
-        unit="–",
-        limit=MACH_LIMIT,
-        source=_SOUND,
-        changed=value > MACH_LIMIT,
-        text=f"{text}.",
-    )
+    return _sign("sound_speed", speed / c, f"{text}.")
 
 
 def _shortest(contacts: Mapping[SpeciesPair, PairContact]) -> PairContact:
