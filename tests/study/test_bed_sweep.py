@@ -18,11 +18,11 @@ from kncal.study import Settings, ThreadExecutor, combine, design, grid_axis, re
 
 @pytest.fixture
 def bed(tmp_path: Path) -> Path:
-    """A shallow bed on a lattice, for two hundredths of a second."""
+    """A shallow bed on a lattice, for a hundredth of a second."""
     scene = load_case("bubbling_bed_mini")
     assert isinstance(scene, BedScene)
     particles = replace(scene.particles, count=300, packing="lattice")
-    run = replace(scene.run, end_time=0.02, discard=0.0)
+    run = replace(scene.run, end_time=0.01, discard=0.0)
     (tmp_path / "bed").mkdir()
     path = tmp_path / "bed" / "case.toml"
     path.write_text(dump_case(replace(scene, particles=particles, run=run, tolerances={})), encoding="utf-8")
@@ -50,7 +50,7 @@ def test_a_stopped_sweep_of_beds_goes_on(bed: Path, tmp_path: Path) -> None:
         deadline = time.monotonic() + 120.0
         while time.monotonic() < deadline and len(list(out.glob("runs/*/linear/series/*"))) == 0:
             time.sleep(0.02)
-        time.sleep(0.5)
+        time.sleep(0.2)
         executor.stop()
 
     stopper = threading.Thread(target=stop_soon)

@@ -270,7 +270,7 @@ def folders_of(trade: Path, *points):
 
 @pytest.mark.solver
 def test_a_small_bed_is_traded_to_its_end(tmp_path):
-    scene = mini(0.012)
+    scene = mini(0.006)
     case = written(scene, tmp_path)
     said: list[str] = []
     trade = trade_scene(case, scene, tmp_path / "trade", OPTIONS, said.append)
@@ -314,10 +314,10 @@ def test_runs_that_a_budget_stopped_go_on(tmp_path, monkeypatch):
     scene = mini(20.0)
     case = written(scene, tmp_path)
     told: list[str] = []
-    first = trade_scene(case, scene, tmp_path / "trade", replace(OPTIONS, budget=8.0), told.append)
+    first = trade_scene(case, scene, tmp_path / "trade", replace(OPTIONS, budget=5.0), told.append)
     assert 0.0 < first.reference.ran_share < 1.0
     assert any("in part" in caveat for caveat in first.caveats)
-    second = trade_scene(case, scene, tmp_path / "trade", replace(OPTIONS, budget=12.0), told.append)
+    second = trade_scene(case, scene, tmp_path / "trade", replace(OPTIONS, budget=8.0), told.append)
     shares = [[point.ran_share for point in (trade.reference, *trade.points)] for trade in (first, second)]
     assert all(after >= before for before, after in zip(*shares, strict=True))
     assert sum(shares[1]) > sum(shares[0])

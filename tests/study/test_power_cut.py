@@ -18,9 +18,9 @@ from kncal.study import read_sweep, sweep_status
 
 pytestmark = pytest.mark.solver
 
-#: Six runs of both models.
-ARGUMENTS = ("--set", "contact.e_n=0.6,0.8", "--set", "run.steps_per_contact=20,30,40", "--workers", "2")
-IDS = 6
+#: Four runs of both models.
+ARGUMENTS = ("--set", "contact.e_n=0.6,0.8", "--set", "run.steps_per_contact=20,30", "--workers", "2")
+IDS = 4
 
 #: Starts the command line in a fresh process for each line of input: forked, since importing all takes a second.
 SERVER = """
@@ -94,14 +94,14 @@ def undisturbed(server: Server, case: Path, tmp_path_factory) -> tuple[pd.DataFr
     return read_sweep(out), time.monotonic() - begin
 
 
-@pytest.mark.parametrize("most", [20, pytest.param(500, marks=[pytest.mark.long, pytest.mark.timeout(0)])])
+@pytest.mark.parametrize("most", [12, pytest.param(500, marks=[pytest.mark.long, pytest.mark.timeout(0)])])
 def test_power_cuts_lose_nothing_and_double_nothing(
     server: Server, case: Path, undisturbed, tmp_path: Path, most: int
 ) -> None:
     table, duration = undisturbed
-    kills, rounds = 0, 0
+    kills = rounds = 0
     rng = np.random.default_rng(20240607)
-    while kills < most:
+    while kills < most or rounds < 2:  # finished and begun anew between the kills: they come at every stage of a sweep
         rounds += 1
         out = tmp_path / f"sweep{rounds}"
         while True:
@@ -116,8 +116,6 @@ def test_power_cuts_lose_nothing_and_double_nothing(
                     break
             kills += ended
         _same(out, table)
-    assert kills >= most
-    assert rounds >= 2  # finished and begun anew between the kills: they came at every stage of a sweep
 
 
 def _cut(pid: int, after: float, *, everything: bool) -> bool:

@@ -7,6 +7,9 @@ import pytest
 from kncal.cli import main
 from kncal.cli.trade import seconds
 from kncal.core.errors import InputError
+from kncal.scene.case_file import dump_case, load_case
+from kncal.study.trade.run import trade_scene
+from kncal.study.trade.trade import TradeOptions
 
 pytestmark = pytest.mark.slow
 
@@ -53,19 +56,22 @@ def test_nothing_inside_is_exit_code_1_and_says_how_far(capsys, tmp_path):
     assert not (tmp_path / "trade" / "case.toml").exists()
 
 
-def test_the_uncertainty_of_a_path_holds_what_other_phases_of_first_touch_do_to_it(capsys, tmp_path):
+def test_the_uncertainty_of_a_path_holds_what_other_phases_of_first_touch_do_to_it(tmp_path):
     """A drop from 70 µm higher up is the same case, but for where in a step the sphere touches the floor."""
+    options = TradeOptions(
+        factors=(1.0,), steps=(50.0,), overlaps=(), rounds=1, engine="builtin", tolerances={"trajectory": 0.01}
+    )
     errors = []
-    flags = ["--factor", "1", "--steps", "50", "--rounds", "1", "--engine", "builtin", "--tolerance", "trajectory=1%"]
     for height in (0.5, 0.50007):
-        change = ["--set", f"particles.ball.position=[0, 0, {height}]", "--out", tmp_path / f"at-{height}"]
-        _, text, _ = kncal(capsys, "trade", "falling_particle", *flags, *change, "--json")
-        points = {p["candidate"]["name"]: p["errors"]["trajectory"] for p in json.loads(text)["points"]}
-        errors.append(points["linear-max_overlap-N50"])
+        scene = load_case("falling_particle", overrides=[f"particles.ball.position=[0, 0, {height}]"])
+        case = tmp_path / f"at-{height}.toml"
+        case.write_text(dump_case(scene), encoding="utf-8")
+        trade = trade_scene(case, scene, tmp_path / f"trade-{height}", options, lambda _: None)
+        errors.append(trade.point("linear-max_overlap-N50").errors["trajectory"].difference)
     one, other = errors
-    assert abs(one["difference"] - other["difference"]) > 1e-3  # else the test says nothing
-    assert other["difference"] <= one["difference"] + one["difference_width"]
-    assert one["difference"] <= other["difference"] + other["difference_width"]
+    assert abs(one.value - other.value) > 1e-3  # else the test says nothing
+    assert other.value <= one.value + one.width
+    assert one.value <= other.value + other.width
 
 
 def test_nothing_of_the_users_is_written_over_or_removed(capsys, tmp_path):
