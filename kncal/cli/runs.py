@@ -231,18 +231,17 @@ def _print_results(case: str, results: dict[str, RunResult], metrics: dict[str, 
 
 
 def _print_comparison(comparison: Comparison) -> None:
-    """Print the rows and the verdict; the unit of a row is that of its numbers."""
-    from kncal.observe.row import difference_text
+    """Print the tables of the report, and the verdict."""
+    from kncal.report.comparison import cost_table
+    from kncal.report.page import unmarked
+    from kncal.report.rows import table_of
 
-    rows = []
-    for row in comparison.rows:
-        tolerance = "" if row.tolerance is None else f"{100.0 * row.tolerance:g} %"
-        values = [show.quantity(side.value, row.unit, 5, width=side.width) for side in (row.run, row.reference)]
-        rows.append([row.metric, *values, difference_text(row), tolerance, row.verdict])
-    for name, unit in (("steps", ""), ("dt", "s"), ("cpu_seconds", "s")):
-        rows.append([name, *(show.quantity(getattr(cost, name), unit) for cost in comparison.costs), "", "", ""])
-    columns = ["metric", "linear", "hertz", "difference", "tolerance", ""]
-    show.table(f"{comparison.reference.model.scene.name}: linear against Hertz", columns, rows)
+    rows = table_of(comparison.rows)
+    title = f"{comparison.reference.model.scene.name}: linear against Hertz"
+    for heading, table in ((title, rows.table), ("Cost", cost_table(comparison))):
+        show.table(heading, table.headings, [[unmarked(row[0]), *row[1:]] for row in table.rows], text=table.text)
+    for text in rows.unseen:
+        show.say(f"not shown: {text}")
     _say_verdict(comparison)
 
 

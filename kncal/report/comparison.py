@@ -131,7 +131,7 @@ def _sections(
             notes=rows.notes,
             parts=(
                 Section(title="Not shown by these runs", points=rows.unseen, folded=True),
-                Section(title="Cost", table=_cost_table(comparison)),
+                Section(title="Cost", table=cost_table(comparison)),
             ),
         ),
         Section(
@@ -207,7 +207,7 @@ def _attraction(comparison: Comparison) -> list[str]:
     return [f"{listed(list(dict.fromkeys(names)))}: {text}." for text, names in pairs.items()]
 
 
-def _cost_table(comparison: Comparison) -> Table:
+def cost_table(comparison: Comparison) -> Table:
     """Return what the runs cost; what none of them has (particles that move, gas) has no lines."""
     costs, timed = comparison.costs, comparison.speed.cpu is not None
     coupled = any(c.couplings for c in costs)

@@ -17,6 +17,8 @@ from kncal.core.scratch import drawn_aside
 from kncal.core.templating import Page as Template
 from kncal.observe.verdict import Verdict
 
+#: Stands before the number of a note.
+_GAP = "\u202f"
 _SUPERSCRIPT = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -148,6 +150,11 @@ def kept(sections: Sequence[Section | None]) -> tuple[Section, ...]:
     return tuple(found for section in sections if section is not None and (found := section.kept) is not None)
 
 
+def unmarked(cell: str) -> str:
+    """Return a cell without the numbers of its notes."""
+    return cell.partition(_GAP)[0]
+
+
 def marks(numbers: Sequence[int]) -> str:
     """Return the numbers of notes as they stand at a cell's end: " ¹ ³"; "" for none."""
-    return "".join(f"\u202f{number}" for number in numbers).translate(_SUPERSCRIPT)
+    return "".join(f"{_GAP}{number}" for number in numbers).translate(_SUPERSCRIPT)
