@@ -36,7 +36,7 @@ def stability(
         A shipped case's name, a case folder or a case.toml.
     """
     from kncal.study.folders import refuse_other
-    from kncal.study.stability.report import accuracy_table, bed_table, edge_table, write_stability
+    from kncal.study.stability.report import accuracy_table, coupling_table, edge_table, write_stability
     from kncal.study.stability.workflow import RECORD, SPEED, STARTED, study_stability
 
     scene, folder = (at or CaseFlags()).load(case, "stability")
@@ -53,7 +53,7 @@ def stability(
     for title, table in (
         ("Edges of stability", edge_table(found)),
         ("Steps for a correct restitution", accuracy_table(found)),
-        ("Edges of the coupled algorithm", bed_table(found)),
+        ("Edges of the coupled algorithm", coupling_table(found)),
     ):
         if table.rows:
             show.table(title, table.headings, table.rows, text=table.text)

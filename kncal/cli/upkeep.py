@@ -118,12 +118,18 @@ def _megabytes(size: int) -> str:
 def _print(folder: Path, states: list[RunState]) -> None:
     from collections import Counter
 
-    from kncal.runs.states import ADVICE
+    from kncal.runs.states import ADVICE, command_of
 
     counts = Counter(state.status for state in states)
     show.say(f"{folder}: " + ", ".join(f"{number} {name.replace('_', ' ')}" for name, number in counts.items()))
     order = {"running": 0, "failed": 1, "not_installed": 1, "timed_out": 2, "interrupted": 2, "rendered": 3}
-    shown = sorted(states, key=lambda state: order.get(state.status, 4))[:_ROWS]
+    # of those of a sweep, which other commands make too, the completed ones are only counted
+    place = {state: state.folder.absolute().parents[2] for state in states}
+    sweeps = {folder for folder in set(place.values()) if command_of(folder)}
+    listed = [state for state in states if state.status != "completed" or place[state] not in sweeps]
+    if not listed:
+        return
+    shown = sorted(listed, key=lambda state: order.get(state.status, 4))[:_ROWS]
     rows = [
         [
             str(state.folder.relative_to(folder)) if state.folder != folder else state.folder.name,
@@ -134,8 +140,8 @@ def _print(folder: Path, states: list[RunState]) -> None:
         for state in shown
     ]
     show.table("", ["run", "state", "CPU", "by"], rows, text=(0, 1, 3))
-    if len(states) > _ROWS:
-        show.say(f"... and {len(states) - _ROWS} more; --json has all")
+    if len(listed) > _ROWS:
+        show.say(f"... and {len(listed) - _ROWS} more; --json has all")
     for state in shown:
         if state.message and state.status != "completed":
             show.say(f"{state.folder}: {state.message}")

@@ -46,6 +46,14 @@ def new_axes(width: float = 5.6, height: float = 3.8) -> Axes:
     return Canvas(figsize=(width, height), layout="constrained").add_subplot()
 
 
+def panels(rows: int, columns: int, width: float, height: float, **options: Any) -> list[Axes]:
+    """Return the axes of ``rows`` times ``columns`` panels, row by row, on a figure of their own (inches)."""
+    from matplotlib.figure import Figure as Canvas
+
+    canvas = Canvas(figsize=(width, height), layout="constrained")
+    return list(canvas.subplots(rows, columns, squeeze=False, **options).flat)
+
+
 def save(ax: Axes, folder: Path, name: str) -> tuple[Path, Path]:
     """Write the figure of ``ax`` as ``name.png`` (130 dots per inch) and ``name.svg``; returns both paths.
 

@@ -322,7 +322,7 @@ def scene_of(folder: Path, sweep: Sweep, run: str) -> Scene | BedScene:
     scene = load_case(folder / CASE, name=sweep.name, overrides=sweep.runs[run])
     if identity(sweep, dump_case(scene)) != run:
         raise ReadError(
-            f"{folder / CASE}: changed since the sweep was made: it does not give run {run}; sweep again into another folder"
+            f"{folder / CASE}: changed since the sweep was made: it does not give run {run}; choose another --out"
         )
     return scene
 

@@ -32,6 +32,11 @@ def test_status_of_a_sweep(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert "not-finite" in text
     assert "a smaller time step" in text
     assert "it blew up" in text
+    # from above: the completed runs of a sweep are counted, the others listed
+    text = kncal("status", tmp_path)
+    assert "5 completed, 1 failed" in text
+    assert run in text
+    assert not any(other in text for other in read_design(swept).runs if other != run)
     found = json.loads(kncal("status", swept, "--json"))
     assert found["counts"] == {"completed": 2, "failed": 1}
     assert found["newest"][0]["id"] == run

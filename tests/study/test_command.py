@@ -73,8 +73,8 @@ def test_unsafe_advice_is_called_so() -> None:
 
     assert "UNSAFE by 20 %" in say(1.25e-6)
     assert "UNSAFE" not in say(1e-6)
-    assert "safe by 100 %" in say(0.5e-6)
-    assert "0 of 1 accuracy edges" in say(1e-6)
+    assert "margin: 100 %" in say(0.5e-6)
+    assert "in 0 of 1 such cases" in say(1e-6)
 
 
 def point(value: float, level: str, outcome: str) -> BedPoint:

@@ -10,11 +10,11 @@ from kncal.core.files import write_csv, write_json
 from kncal.core.units import percent, quantity
 from kncal.observe.verdict import Verdict
 from kncal.report.page import Figure, Page, Section, Table, report_folder, write_page
-from kncal.report.style import STYLES, Album, bare, dress, model_name, new_axes
+from kncal.report.style import STYLES, Album, bare, dress, model_name, new_axes, panels, plain_ticks, shared_legend
 from kncal.study.stability.edges import RESOLUTION
 from kncal.study.stability.maps import Cell
 from kncal.study.stability.outcome import OUTCOMES
-from kncal.study.stability.results import CELL_UNITS, EDGE_UNITS, Stability
+from kncal.study.stability.results import CELL_UNITS, EDGE_COLUMNS, Stability, probe_name
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -52,7 +52,7 @@ def write_stability(found: Stability, folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     # first, since it says whose folder this is
     write_json(folder / "stability.json", found.to_dict())
-    write_csv(folder / "stability.csv", found.edge_frame(), EDGE_UNITS)
+    write_csv(folder / "stability.csv", found.edge_frame(), {name: unit for name, (unit, _) in EDGE_COLUMNS.items()})
     write_csv(folder / "map.csv", found.cell_frame(), CELL_UNITS)
     with report_folder(folder / "report") as drawn:
         figures = _figures(found, drawn)
@@ -67,7 +67,7 @@ def write_stability(found: Stability, folder: Path) -> Path:
         sections=(
             Section(title="Edges in the time step", table=edge_table(found), remark=_EDGES),
             Section(title="Steps for a correct restitution", table=accuracy_table(found), remark=_ACCURACY),
-            Section(title="Edges of the coupled algorithm", table=bed_table(found), remark=_COUPLED),
+            Section(title="Edges of the coupled algorithm", table=coupling_table(found), remark=_COUPLED),
             Section(title="Maps", figures=figures),
             Section(title="Left out", points=tuple(given.notes), folded=True),
         ),
@@ -102,7 +102,7 @@ def edge_table(found: Stability) -> Table:
         other = [percent(x.middle / b.middle - 1.0) for name, x in e.measured.items() if name != engine]
         rows.append(
             (
-                p.name.removesuffix(f"-{p.kind}"),
+                probe_name(e),
                 p.kind,
                 f"{p.e_n:g}",
                 str(p.contacts),
@@ -147,11 +147,11 @@ def accuracy_table(found: Stability) -> Table:
     return Table(headings, rows, text=(0, 6))
 
 
-def bed_table(found: Stability) -> Table:
+def coupling_table(found: Stability) -> Table:
     """Return the edges of the coupled algorithm as text."""
     rows = tuple(
         (r.edge, f"{r.value:.3g}", quantity(r.setting, r.unit, 3), r.level, r.outcome, r.evidence)
-        for edge in found.bed
+        for edge in found.coupling
         for r in edge.runs
     )
     headings = ("parameter", "value", "setting", "kncal says", "what happened", "numbers")
@@ -198,48 +198,44 @@ def _edge_picture(found: Stability) -> Axes:
 
 def map_picture(cells: Sequence[Cell]) -> Axes:
     """Draw one map, a panel per model: a mark per run of the builtin engine, a ring where LIGGGHTS came to the same."""
-    from matplotlib.figure import Figure as Drawing
-
     kinds = [kind for kind in ("linear", "hertz") if any(c.kind == kind for c in cells)]
-    drawing = Drawing(figsize=(5.6, 0.8 + 2.5 * len(kinds)), layout="constrained")
-    panels = drawing.subplots(len(kinds), 1, sharex=True, squeeze=False)[:, 0]
-    shown: dict[str, Any] = {}
-    for kind, ax in zip(kinds, panels, strict=True):
-        shown |= _panel(ax, [c for c in cells if c.kind == kind])
+    axes = panels(len(kinds), 1, 5.6, 0.8 + 2.5 * len(kinds))
+    for kind, ax in zip(kinds, axes, strict=True):
+        _panel(ax, [c for c in cells if c.kind == kind])
         ax.set_title(model_name(kind), loc="left", fontsize=9.5)
-    panels[-1].set_xlabel("impact speed v_0 [m/s]" if cells[0].map == "k_n" else "dt over the limit of one contact [–]")
-    order = [name for name in (*MARKS, _SAME, _OTHER) if name in shown]
-    drawing.legend([shown[name] for name in order], order, loc="outside upper left", ncols=3, frameon=False, fontsize=9)
-    first: Axes = panels[0]
-    return first
+    axes[-1].set_xlabel("impact speed v_0 [m/s]" if cells[0].map == "k_n" else "dt over the limit of one contact [–]")
+    shared_legend(axes, columns=3)
+    return axes[0]
 
 
-def _panel(ax: Axes, cells: Sequence[Cell]) -> dict[str, Any]:
-    """Draw the runs of one model; returns what stands for each outcome."""
-    from matplotlib.ticker import NullLocator
-
-    name, drawn = cells[0].map, {}
+def _panel(ax: Axes, cells: Sequence[Cell]) -> None:
+    """Draw the runs of one model."""
+    name = cells[0].map
     y_label, y_log, _ = _MAPS[name]
-    own = {(c.x, c.y): c for c in cells if c.engine == "builtin"}
+    own = {(c.x, c.y): c.outcome.code for c in cells if c.engine == "builtin"}
+    same = {(c.x, c.y): c.outcome.code == own[c.x, c.y] for c in cells if c.engine == "liggghts" and (c.x, c.y) in own}
+
+    def draw(label: str, at: list[tuple[float, float]], marker: str, colour: str, size: float, **style: Any) -> None:
+        if at:
+            look: dict[str, Any] = {
+                "marker": marker,
+                "color": colour,
+                "markersize": size,
+                "linestyle": "",
+                "label": label,
+            }
+            ax.plot(*zip(*at, strict=True), **look, **style)
+
     for code, (colour, marker) in MARKS.items():
-        at = [key for key, c in own.items() if c.outcome.code == code]
-        if at:
-            (drawn[code],) = ax.plot(*zip(*at, strict=True), linestyle="", color=colour, marker=marker, markersize=6)
-    others = [c for c in cells if c.engine == "liggghts" and (c.x, c.y) in own]
-    for label, marker, colour in ((_SAME, "o", "0.35"), (_OTHER, "x", "red")):
-        alike = label == _SAME
-        at = [(c.x, c.y) for c in others if (c.outcome.code == own[c.x, c.y].outcome.code) == alike]
-        if at:
-            (drawn[label],) = ax.plot(
-                *zip(*at, strict=True), linestyle="", marker=marker, color=colour, markerfacecolor="none", markersize=11
-            )
+        draw(code, [key for key, found in own.items() if found == code], marker, colour, 6)
+    draw(_SAME, [key for key, alike in same.items() if alike], "o", "0.35", 11, markerfacecolor="none")
+    draw(_OTHER, [key for key, alike in same.items() if not alike], "x", "red", 11)
     ax.set_xscale("log")
-    ax.xaxis.set_minor_locator(NullLocator())
+    plain_ticks(ax.xaxis)
     if name != "k_n":
         ax.axvline(1.0, color="0.45", linewidth=1.0, linestyle=(0, (2, 2)))
     if y_log:
         ax.set_yscale("log")
-        ax.yaxis.set_minor_locator(NullLocator())
+        plain_ticks(ax.yaxis)
     ax.set_ylabel(y_label)
     bare(ax)
-    return drawn

@@ -76,16 +76,16 @@ def study_stability(
     accuracy = [a for kind in KINDS for e in {1.0, e_n} for a in accuracy_edges(given, kind, e, runner)]
     say("maps of outcomes")
     cells = outcome_maps(given, KINDS, runner, quick=quick, restitutions=varied)
-    bed = []
+    coupling = []
     if isinstance(case, BedScene) and case.gas is not None and engine == "liggghts":
-        bed = bed_edges(case, folder / BEDS, transport=transport, quick=quick, tell=say)
+        coupling = bed_edges(case, folder / BEDS, transport=transport, quick=quick, tell=say)
     return Stability(
         given=given,
         engines=("builtin",) if engine == "builtin" else ("builtin", "liggghts"),
         edges=tuple(found),
         accuracy=tuple(accuracy),
         cells=tuple(cells),
-        bed=tuple(bed),
+        coupling=tuple(coupling),
     )
 
 

@@ -4,13 +4,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from kncal.report.page import Figure
-from kncal.report.style import STYLES, Album, bare, dress, line_style, log_axes, model_name, new_axes, shared_legend
+from kncal.report.style import (
+    STYLES,
+    Album,
+    bare,
+    dress,
+    line_style,
+    log_axes,
+    model_name,
+    new_axes,
+    panels,
+    shared_legend,
+)
 from kncal.study.trade.cost_law import LAW, Law
 from kncal.study.trade.front import Conclusion, cost, worst_ratio
 from kncal.study.trade.trade import ErrorSplit, Trade, TradePoint
@@ -101,27 +113,23 @@ def _seen(point: TradePoint) -> float:
 
 def split(trade: Trade) -> Axes | None:
     """Parts of the error against the factor of the stiffness: a panel per model and judged metric."""
-    from matplotlib.figure import Figure as Canvas
-
     # those with a panel: the metrics that a tolerance judges and a split is known of, the tightest first
     known = {s.metric for splits in trade.splits.values() for s in splits}
     metrics = sorted((m for m in trade.tolerances if m in known), key=lambda m: trade.tolerances[m])[:_MOST_METRICS]
     models = [m for m in ("linear", "hertz") if any(p.candidate.model == m for p in trade.points)]
     if not metrics or not models:
         return None
-    canvas = Canvas(figsize=(4.4 * len(models), 2.9 * len(metrics) + 0.6), layout="constrained")
-    axes = canvas.subplots(len(metrics), len(models), squeeze=False, sharex=True)
-    for row, metric in enumerate(metrics):
-        for column, model in enumerate(models):
-            ax = axes[row][column]
-            _split_panel(ax, trade, model, metric)
-            ax.set_title(f"{metric}, {model_name(model)}", fontsize=10, loc="left")
-            if row == len(metrics) - 1:
-                ax.set_xlabel("factor of k_n or of the modulus [–]")
-        axes[row][0].set_ylabel("|part of the error| [–]")
-    shared_legend(axes.flat, columns=2 * len(models))
-    first: Axes = axes[0][0]
-    return first
+    size = 4.4 * len(models), 2.9 * len(metrics) + 0.6
+    axes = panels(len(metrics), len(models), *size, sharex=True)
+    for ax, (metric, model) in zip(axes, product(metrics, models), strict=True):
+        _split_panel(ax, trade, model, metric)
+        ax.set_title(f"{metric}, {model_name(model)}", fontsize=10, loc="left")
+        if metric == metrics[-1]:
+            ax.set_xlabel("factor of k_n or of the modulus [–]")
+        if model == models[0]:
+            ax.set_ylabel("|part of the error| [–]")
+    shared_legend(axes, columns=2 * len(models))
+    return axes[0]
 
 
 def _split_panel(ax: Axes, trade: Trade, model: str, metric: str) -> None:
@@ -161,12 +169,9 @@ def _size(found: ErrorSplit, part: str) -> float | None:
 
 def law(laws: Sequence[Law]) -> Axes | None:
     """Steps and CPU time against stiffness, with the law; None without a family."""
-    from matplotlib.figure import Figure as Canvas
-
     if not laws:
         return None
-    canvas = Canvas(figsize=(9.0, 3.9), layout="constrained")
-    left, right = canvas.subplots(1, 2)
+    left, right = panels(1, 2, 9.0, 3.9)
     for found in laws:
         style = STYLES[found.family]
         text = f"{model_name(found.family)}, N = {found.steps_per_contact:g}"
@@ -197,5 +202,4 @@ def law(laws: Sequence[Law]) -> Axes | None:
         ax.set_ylabel(label)
         bare(ax)
     shared_legend((left, right), columns=3)
-    first: Axes = left
-    return first
+    return left
