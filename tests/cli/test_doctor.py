@@ -202,5 +202,5 @@ def test_python_is_the_one_that_runs(here):
 def test_solvers_that_are_asked_side_by_side_all_answer():
     """Open MPI's folder of a start goes with it: shared, about one start in 25 died of another's end."""
     with ThreadPoolExecutor(8) as pool:
-        answers = list(pool.map(lambda _: liggghts.look(), range(100)))
+        answers = list(pool.map(lambda _: liggghts.look(), range(60)))
     assert {(a.ok, a.found) for a in answers} == {(True, answers[0].found)}
