@@ -11,7 +11,7 @@ from __future__ import annotations
 import contextvars
 import sys
 
-from cyclopts import App
+from cyclopts import App, Parameter
 
 from kncal import __version__
 from kncal.cli import adapter, calibrate, cases, failures, runs, show, stability, sweeps, trade, trim, upkeep
@@ -21,6 +21,7 @@ app = App(
     name="kncal",
     suppress_keyboard_interrupt=False,
     version=__version__,
+    default_parameter=Parameter(negative=""),  # no --no-json, no --empty-set
     help_format="plaintext",  # Markdown would swallow <case>
     help="How stiff must my linear spring be, what does the softer spring buy, and what does it cost?\n\n"
     "Calibrate a linear spring–dashpot contact against a Hertz-type one, run both, compare. SI units throughout.",

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _S = TypeVar("_S", bound="Scene | BedScene")
 
 Case = Annotated[str, Parameter(help="name of a shipped case, a case folder, or a case.toml")]
-Json = Annotated[bool, Parameter(name="--json", negative="", help="print data for programs")]
+Json = Annotated[bool, Parameter(name="--json", help="print data for programs")]
 ModelChoice = Annotated[
     Literal["both", "linear", "hertz"], Parameter(name="--model", help="which contact model to use")
 ]
@@ -36,7 +36,7 @@ Workers = Annotated[int | None, Parameter(help="number of runs at the same time;
 
 def several(name: str, text: str) -> Parameter:
     """Return the parameter of a flag that may be repeated."""
-    return Parameter(name=name, negative="", help=f"{text} (may be repeated)")
+    return Parameter(name=name, help=f"{text} (may be repeated)")
 
 
 def refuse_ignored(beside: str, given: Iterable[str]) -> None:
@@ -117,7 +117,7 @@ class RanksFlags(EngineFlags):
     ranks: Annotated[
         int, Parameter(name=("--ranks", "-n"), help="processes that share one run (MPI); with gas: they share the gas")
     ] = 1
-    oversubscribe: Annotated[bool, Parameter(negative="", help="allow more ranks than cores")] = False
+    oversubscribe: Annotated[bool, Parameter(help="allow more ranks than cores")] = False
 
     def solver(self, scene: Scene | BedScene) -> Engine:
         """Return the engine that runs this scene; refuses a flag that it would ignore."""

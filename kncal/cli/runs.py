@@ -38,9 +38,9 @@ class RunFlags(Flags):
     repeat: Annotated[int, Parameter(help="number of runs of each model, for the spread of its CPU time")] = 1
     rerun: Annotated[
         bool,
-        Parameter(negative="", help="run all from the start, also what is complete or could be resumed"),
+        Parameter(help="run all from the start, also what is complete or could be resumed"),
     ] = False
-    paraview: Annotated[bool, Parameter(negative="", help="also write frames for ParaView")] = False
+    paraview: Annotated[bool, Parameter(help="also write frames for ParaView")] = False
     trust_templates: Trust = None
 
 

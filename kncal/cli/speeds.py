@@ -31,7 +31,6 @@ Uncertain = Annotated[
     list[str] | None,
     Parameter(
         name="--uncertain",
-        negative="",
         help="an uncertain input: KEY=5%, KEY=LOW:HIGH or KEY=log:LOW:HIGH; prints the distribution of k_n; KEY: "
         "young, poisson, density, radius, e_n, v_0 (may be repeated); with --from-run v_0 is as measured",
     ),

@@ -18,7 +18,7 @@ def stability(
         Parameter(help="liggghts: confirms what the builtin engine finds; builtin: only that engine"),
     ] = "liggghts",
     transport: Transport = "auto",
-    quick: Annotated[bool, Parameter(name="--quick", negative="", help="fewer probes, coarser maps")] = False,
+    quick: Annotated[bool, Parameter(name="--quick", help="fewer probes, coarser maps")] = False,
     workers: Workers = None,
     at: CaseFlags | None = None,
     json: Json = False,

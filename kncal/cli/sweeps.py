@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 #: Failed runs that are named per class, and characters of their messages.
 _SHOWN, _LONGEST = 3, 400
 
-Parquet = Annotated[bool, Parameter(negative="", help="also write sweep.parquet (needs kncal[parquet])")]
+Parquet = Annotated[bool, Parameter(help="also write sweep.parquet (needs kncal[parquet])")]
 
 
 @Parameter(name="*")
@@ -142,9 +142,7 @@ def sweep(
     timeout: Timeout = None,
     on: ClusterFlags | None = None,
     out: Annotated[Path | None, Parameter(help="folder of the sweep; default runs/<case>_sweep here")] = None,
-    skip_bad: Annotated[bool, Parameter(negative="", help="skip points that cannot run, instead of refusing all")] = (
-        False
-    ),
+    skip_bad: Annotated[bool, Parameter(help="skip points that cannot run, instead of refusing all")] = (False),
     parquet: Parquet = False,
     json: Json = False,
 ) -> int:

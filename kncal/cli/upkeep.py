@@ -50,7 +50,7 @@ def status(folder: Folder = Path("runs"), *, json: Json = False) -> None:
 def clean(
     folder: Folder = Path("runs"),
     *,
-    yes: Annotated[bool, Parameter(name="--yes", negative="", help="do not ask")] = False,
+    yes: Annotated[bool, Parameter(name="--yes", help="do not ask")] = False,
 ) -> None:
     """Remove earlier attempts, and the working files of completed runs with gas. Asks first.
 

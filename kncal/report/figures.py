@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kncal.core.checks import Array
-from kncal.observe.averages import BedObservations
 from kncal.observe.compare import Comparison
 from kncal.observe.contacts import overlaps
 from kncal.observe.run_data import ExactMotion, RunData
@@ -126,7 +125,7 @@ def _draw_signals(comparison: Comparison, album: Album) -> None:
     The animation is a GIF, its last picture a PNG; with the extra ``kncal[mp4]`` there is an MP4 as well.
     """
     data = comparison.runs
-    runs = {d.model.kind: (d.series, d.seen) for d in data}
+    runs = {d.model.kind: d.seen for d in data}
     particles = comparison.reference.model.scene.particles
     moving, gas = not particles.frozen, all(d.seen.get("eps_g") is not None for d in data)
     several = moving and particles.count > 1
@@ -151,11 +150,11 @@ def _draw_signals(comparison: Comparison, album: Album) -> None:
         if seen and (gas or name not in ("voidage", "velocity")):
             album.add(name, draw(runs), caption, alt)
     if several and all(len(d.series.t_frame) > 1 for d in data):
-        _animation({kind: series for kind, (series, _) in runs.items()}, album)
+        _animation({kind: seen.series for kind, seen in runs.items()}, album)
 
 
-def _mean_height(runs: Mapping[str, tuple[BedSeries, BedObservations]]) -> float:
-    return float(np.mean([seen.estimates["z_mean"].value or 0.0 for _, seen in runs.values()]))
+def _mean_height(runs: plots.Runs) -> float:
+    return float(np.mean([seen.estimates["z_mean"].value or 0.0 for seen in runs.values()]))
 
 
 def _animation(runs: Mapping[str, BedSeries], album: Album) -> None:

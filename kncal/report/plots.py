@@ -1,7 +1,7 @@
 """Pictures of contacts and of beds; `kncal.report.style` saves them.
 
 Every function takes SI data, draws on a figure of its own (or on ``ax``) and returns the axes. ``runs`` of a bed is a
-mapping from model ("linear", "hertz") to series and what was observed in it.
+mapping from model ("linear", "hertz") to what was seen in its signals.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 #: (abscissa, ordinate) of one line, each of shape (n,).
 Line = tuple[Array, Array]
-Runs = Mapping[str, tuple[BedSeries, BedObservations]]
+Runs = Mapping[str, BedObservations]
 
 #: More markers than this on one line hide each other.
 _MARKERS = 60
@@ -163,8 +163,9 @@ def signal_time(runs: Runs, name: str) -> Axes:
     field = one_of("name", name, SIGNALS)
     label, unit, averaged = SIGNALS[field]
     ax = new_axes()
-    factor, shown_unit = si_prefix(np.concatenate([getattr(series, field) for series, _ in runs.values()]), unit)
-    for kind, (series, observed) in runs.items():
+    factor, shown_unit = si_prefix(np.concatenate([getattr(seen.series, field) for seen in runs.values()]), unit)
+    for kind, observed in runs.items():
+        series = observed.series
         colour = STYLES[kind]["color"]
         every = max(1, len(series.t) // _POINTS)
         y = factor * getattr(series, field)
@@ -178,11 +179,11 @@ def signal_time(runs: Runs, name: str) -> Axes:
         text = f"{model_name(kind)}: {mean:.4g} ± {half:.2g} {shown_unit}{doubt}"
         ax.plot(span, [mean, mean], color=colour, linestyle=STYLES[kind]["linestyle"], linewidth=2.2, label=text)
         ax.fill_between(span, mean - half, mean + half, color=colour, alpha=0.2, linewidth=0.0, zorder=3)
-    begins = [observed.begin for _, observed in runs.values() if observed.begin > 0.0]
+    begins = [observed.begin for observed in runs.values() if observed.begin > 0.0]
     if begins:
         ax.axvspan(0.0, max(begins), color="0.93", linewidth=0.0, zorder=0)
         ax.text(0.01, 0.02, "start-up, left out", transform=ax.transAxes, fontsize=9, color="0.35", va="bottom")
-    ax.set_xlim(0.0, max(float(series.t[-1]) for series, _ in runs.values()))
+    ax.set_xlim(0.0, max(float(seen.series.t[-1]) for seen in runs.values()))
     return dress(ax, "time [s]", f"{label} [{shown_unit}]", columns=1)
 
 
@@ -190,7 +191,7 @@ def voidage_maps(runs: Runs) -> Figure:
     """Draw the time mean void fraction of each model, averaged over the depth; of two models also the difference."""
     from matplotlib.figure import Figure
 
-    maps = {kind: (series.facts, _depth_mean(observed)) for kind, (series, observed) in runs.items()}
+    maps = {kind: (seen.series.facts, _depth_mean(seen)) for kind, seen in runs.items()}
     facts = next(iter(maps.values()))[0]
     if any(other.cells != facts.cells or other.size != facts.size for other, _ in maps.values()):
         raise InputError("the runs have different gas grids: expected the same cells in the same box")
@@ -300,9 +301,9 @@ def fluidization_curves(runs: Runs) -> Axes:
 
 def _having(runs: Runs, part: str) -> Iterator[tuple[str, BedSeries, Any]]:
     """Yield model, series and one part of what was observed, of the runs that have it."""
-    for kind, (series, observed) in runs.items():
-        if (found := observed.get(part)) is not None:
-            yield kind, series, found
+    for kind, seen in runs.items():
+        if (found := seen.get(part)) is not None:
+            yield kind, seen.series, found
 
 
 def _field(ax: Axes, facts: BedFacts, values: Array, **colours: Any) -> Any:

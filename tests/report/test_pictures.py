@@ -23,13 +23,16 @@ def runs():
         "linear": bubbling(facts(), 1, couplings=1500),
         "hertz": bubbling(facts(kind="hertz"), 2, couplings=1500, speed=0.25),
     }
-    return {kind: (bed, observe_bed(bed, discard=0.5)) for kind, bed in beds.items()}
+    return {kind: observe_bed(bed, discard=0.5) for kind, bed in beds.items()}
 
 
 def few(runs, frames: int = 4):
     """The series of both runs with a few frames only."""
     names = ("frame_coupling", "t_frame", "x", "v", "eps_g", "p", "U")
-    return {kind: replace(bed, **{n: getattr(bed, n)[:frames] for n in names}) for kind, (bed, _) in runs.items()}
+    return {
+        kind: replace(seen.series, **{n: getattr(seen.series, n)[:frames] for n in names})
+        for kind, seen in runs.items()
+    }
 
 
 def legend(ax) -> str:
@@ -39,8 +42,8 @@ def legend(ax) -> str:
 @pytest.mark.parametrize("name", plots.SIGNALS)
 def test_signals_show_their_averages(runs, name):
     ax = plots.signal_time(runs, name)
-    average = runs["hertz"][1].estimates[plots.SIGNALS[name][2]]
-    factor = ax.get_lines()[2].get_ydata()[0] / getattr(runs["hertz"][0], name)[0]
+    average = runs["hertz"].estimates[plots.SIGNALS[name][2]]
+    factor = ax.get_lines()[2].get_ydata()[0] / getattr(runs["hertz"].series, name)[0]
     mean = next(line for line in ax.get_lines() if line.get_label().startswith("Hertz"))
     np.testing.assert_allclose(mean.get_ydata(), factor * average.value)
     np.testing.assert_allclose(mean.get_xdata(), [0.5, 1.5])
@@ -56,27 +59,27 @@ def test_voidage_maps_show_both_and_their_difference(runs):
     figure = plots.voidage_maps(runs)
     images = [ax.get_images()[0] for ax in figure.axes if ax.get_images() and ax.get_title()]
     assert [image.axes.get_title() for image in images] == ["linear", "Hertz", "linear – Hertz"]
-    linear, hertz = (observed.eps_g[:, 0, :] for _, observed in runs.values())
+    linear, hertz = (observed.eps_g[:, 0, :] for observed in runs.values())
     np.testing.assert_array_equal(images[0].get_array(), linear)
     np.testing.assert_allclose(images[2].get_array(), linear - hertz)
     assert images[0].get_extent() == pytest.approx([0.0, 60.0, 0.0, 120.0])
     assert images[0].origin == "lower"
     other = bubbling(facts(cells=(12, 1, 24)), 1, couplings=300)
     with pytest.raises(InputError, match="same cells"):
-        plots.voidage_maps({"linear": runs["linear"], "hertz": (other, observe_bed(other, discard=0.0))})
+        plots.voidage_maps({"linear": runs["linear"], "hertz": observe_bed(other, discard=0.0)})
 
 
 def test_overlap_histogram_has_the_area_of_what_it_shows(runs):
     ax = plots.overlap_histogram(runs)
     density, edges, _ = ax.patches[0].get_data()
-    overlaps = runs["linear"][1].overlaps
+    overlaps = runs["linear"].overlaps
     drawn = 1.0 - overlaps.histogram[0] / overlaps.counted  # the bin that begins at zero has no place
     assert (density * np.diff(np.log10(edges))).sum() == pytest.approx(drawn)
     assert "mean 0.25 %" in legend(ax)  # 5 µm of 2 mm
 
 
 def test_spectrum_names_the_frequency(runs):
-    observed = runs["linear"][1]
+    observed = runs["linear"]
     ax = plots.pressure_spectra(runs)
     assert f"linear: {observed.spectrum.dominant:.3g}" in legend(ax)
     np.testing.assert_array_equal(ax.get_lines()[0].get_ydata(), observed.spectrum.density[1:])
@@ -93,7 +96,7 @@ def test_profiles_and_bubbles(runs):
 
 def test_pictures_without_gas_are_empty_not_broken(tmp_path):
     dry = series(facts(gas_density=0.0), 300, floor=np.ones(300))
-    runs = {"linear": (dry, observe_bed(dry))}
+    runs = {"linear": observe_bed(dry)}
     for ax in (plots.signal_time(runs, "p_in"), plots.overlap_histogram(runs), plots.pressure_spectra(runs)):
         assert style.save(ax, tmp_path, "empty")[0].stat().st_size > 0
     with pytest.raises(InputError, match="void fraction"):
