@@ -7,7 +7,7 @@ BED_OUT := runs/bubbling_bed_mini_demo
 DEMO := kncal compare falling_particle --engine liggghts --out $(OUT)
 # Examples of each fuzz test
 EXAMPLES := 100000
-BED_DEMO := kncal compare bubbling_bed_mini --set run.end_time=0.1 --out $(BED_OUT)
+BED_DEMO := kncal compare bubbling_bed_mini --set run.until_time=0.1 --out $(BED_OUT)
 
 # Tests start kncal in many processes: each would compile it anew.
 unexport PYTHONDONTWRITEBYTECODE

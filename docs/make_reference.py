@@ -15,21 +15,22 @@ import json
 import re
 import sys
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import is_dataclass
 from pathlib import Path
 from types import NoneType
 from typing import Any, Literal, get_args, get_origin
 
 import numpy as np
 from annotated_types import MaxLen, MinLen
-from pydantic import AfterValidator, BaseModel, WrapValidator
+from pydantic import AfterValidator
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from kncal.core.checks import Range
 from kncal.physics.material import RANGES
 from kncal.physics.methods import METHODS, OPTIONS
-from kncal.scene.case_schema import MEASURED, MaterialTable
 from kncal.scene.metrics import METRICS, offered
+from kncal.scene.scene import MaterialData
 
 PAGES = ("docs/case-file.md", "docs/bed-case-file.md")
 MARKED = re.compile(r"(<!-- table: ([\w.]+) -->\n).*?(<!-- end -->)", re.S)
@@ -64,8 +65,9 @@ def ranges(annotation: Any, metadata: Iterable[Any] = ()) -> Iterator[str]:
     """Yield what the values of an annotation are checked for, from the inside out."""
     if get_origin(annotation) is Literal:
         yield ", ".join(code(choice) for choice in get_args(annotation))
-    elif get_origin(annotation) is list:
-        inner = [text.removeprefix("each ") for text in ranges(*get_args(annotation))]
+    elif get_origin(annotation) in (tuple, dict):
+        *_, of = (inside for inside in get_args(annotation) if inside is not Ellipsis)
+        inner = [text.removeprefix("each ") for text in ranges(of)]
         yield from (f"each {text}" for text in (", ".join(inner),) if text)
     elif hasattr(annotation, "__metadata__"):
         yield from ranges(annotation.__origin__, annotation.__metadata__)
@@ -78,8 +80,6 @@ def ranges(annotation: Any, metadata: Iterable[Any] = ()) -> Iterator[str]:
     for check in _checks(metadata):
         if isinstance(check, Range):
             yield bounds(check.low, check.high, check.low_open)
-        elif isinstance(check, WrapValidator):
-            yield f"or {code(MEASURED)}"
     lengths = {type(m): m for m in _checks(metadata) if isinstance(m, MinLen | MaxLen)}
     least = lengths[MinLen].min_length if MinLen in lengths else 0
     if MaxLen in lengths and lengths[MaxLen].max_length > max(least, 3):
@@ -101,16 +101,18 @@ def default(field: FieldInfo) -> str:
     if field.is_required():
         return "required"
     value = field.get_default(call_default_factory=True)
-    if isinstance(value, BaseModel):
+    if is_dataclass(value):
         return "its defaults"
     return "–" if value is None or value is PydanticUndefined else code(value)
 
 
-def keys(schema: type[BaseModel]) -> str:
+def keys(schema: Any) -> str:
     """Return the table of the keys of one table of a case file."""
     rows = []
-    for key, field in schema.model_fields.items():
-        checks = field.metadata if schema is not MaterialTable else [RANGES[key]]
+    for key, field in schema.__pydantic_fields__.items():
+        if key == "name":  # a case has its folder's
+            continue
+        checks = field.metadata if schema is not MaterialData else [RANGES[key]]
         rows.append((f"`{key}`", field.description or "", default(field), ", ".join(ranges(field.annotation, checks))))
     return table(("key", "meaning", "default", "range"), rows)
 

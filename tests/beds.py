@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,46 +11,41 @@ from kncal.core.checks import Array
 from kncal.physics.impact import dimensionless_impact
 from kncal.physics.material import Material, pair, wall_pair
 from kncal.physics.timestep import contact_time
-from kncal.scene.bed_scene import BedParticles, BedRun, BedScene, Column
-from kncal.scene.model import BedModel, PairContact
+from kncal.scene.model import PairContact, Plan
 from kncal.scene.needs import decide
-from kncal.scene.scene import ContactChoice
+from kncal.scene.scene import ContactChoice, MaterialData, Particles, RunControl, Scene
+from kncal.scene.walls import BoxWall
 
 D, G = 1.2e-3, 9.81
 SOFT = Material(young=5e6, poisson=0.25, density=1000.0, name="soft")
+BOX = BoxWall(shape="box", size=(0.015, 0.006, 0.06), material="soft")
+CELLS = (5, 2, 20)
 
 
-def column(**changes: Any) -> Column:
-    given: dict[str, Any] = {"width": 0.015, "depth": 0.006, "height": 0.06, "cells": (5, 2, 20)}
-    return Column(**(given | {"wall_material": SOFT} | changes))
-
-
-def scene(
-    count: int = 400, box: Column | None = None, contact: ContactChoice | None = None, **changes: Any
-) -> BedScene:
-    particles = BedParticles(count=count, diameter=D, material=SOFT)
+def scene(count: int = 400, *, box: BoxWall = BOX, contact: ContactChoice | None = None, **changes: Any) -> Scene:
+    """Particles in a box without gas; ``changes`` of the group (place, positions, seed, ...) or of the scene."""
+    own = {key: changes.pop(key) for key in [*changes] if key in ("place", "positions", "seed", "frozen")}
+    group = Particles(count=count, diameter=D, material="soft", **({"place": "settled"} | own))
     given: dict[str, Any] = {
         "name": "bed",
-        "column": column() if box is None else box,
-        "particles": replace(
-            particles, **{k: changes.pop(k) for k in ("packing", "positions", "seed") if k in changes}
-        ),
-        "gas": None,
-        "gravity": G,
+        "materials": {"soft": MaterialData(young=5e6, poisson=0.25, density=1000.0)},
+        "walls": {"column": box},
+        "particles": {"beads": group},
+        "gravity": (0.0, 0.0, -G),
         "contact": ContactChoice(e_n=0.9, friction=0.3) if contact is None else contact,
-        "run": BedRun(end_time=0.1, coupling=5e-4),
+        "run": RunControl(until_time=0.1, coupling=5e-4),
     }
-    return BedScene(**(given | changes))
+    return Scene(**(given | changes))
 
 
-def model(bed: BedScene, kind: str = "linear", *, k_n: float = 100.0, dt: float = 1e-5) -> BedModel:
+def model(bed: Scene, kind: str = "linear", *, k_n: float = 100.0, dt: float = 1e-5) -> Plan:
     """Linear with k_n, or Tsuji from the materials, with the damping of ``bed.contact``."""
-    choice, radius = bed.contact, 0.5 * bed.particles.diameter
+    choice, bead = bed.contact, bed.spheres[0]
     contacts = {}
     for number, both in enumerate(
         (
-            pair(bed.particles.material, radius),
-            wall_pair(bed.particles.material, radius, bed.column.wall_material),
+            pair(bead.material, bead.radius),
+            wall_pair(bead.material, bead.radius, bed.planes[0].material),
         )
     ):
         linear, m = kind == "linear", float(both.m_eff)
@@ -77,7 +71,7 @@ def model(bed: BedScene, kind: str = "linear", *, k_n: float = 100.0, dt: float 
             k_t=float(both.k_t_ratio) * k if linear else 8.0 * float(both.G_eff) * math.sqrt(float(both.R_eff)),
         )
     steps = 50
-    return BedModel(
+    return Plan(
         scene=bed,
         kind=kind,
         needs=decide(bed),
@@ -89,16 +83,16 @@ def model(bed: BedScene, kind: str = "linear", *, k_n: float = 100.0, dt: float 
     )
 
 
-def mass(bed: BedScene) -> float:
+def mass(bed: Scene) -> float:
     """Mass of one particle [kg]."""
-    return float(bed.particles.material.density) * math.pi / 6.0 * bed.particles.diameter**3
+    return bed.density * math.pi / 6.0 * bed.group.diameter**3
 
 
-def weight(bed: BedScene) -> float:
+def weight(bed: Scene) -> float:
     """Weight of the bed [N]."""
-    return bed.particles.count * mass(bed) * bed.gravity
+    return bed.group.number * mass(bed) * bed.g
 
 
-def still(bed: BedScene) -> Array:
+def still(bed: Scene) -> Array:
     """No force on any particle."""
-    return np.zeros((bed.particles.count, 3))
+    return np.zeros((bed.group.number, 3))

@@ -13,7 +13,7 @@ LIMIT = 90.0
 #: LIGGGHTS takes about a second for SHORT and minutes for ENDLESS.
 SHORT, ENDLESS = 20.0, 4000.0
 
-_LID = '\n[[walls]]\nname = "lid"\naxis = "z"\nposition = 0.0021\nmaterial = "rigid"\n'
+_LID = '\n[walls.lid]\naxis = "z"\nposition = 0.0021\nmaterial = "rigid"\n'
 
 
 def bounce(case: Path) -> Path:

@@ -26,12 +26,11 @@ _MODULES = (
     "kncal.record.openfoam",
     "kncal.record.series",
     "kncal.runs.folder",
-    "kncal.scene.bed_case_file",
     "kncal.scene.case_file",
     "kncal.scene.meshes",
     "kncal.scene.plan",
 )
-_NAMES = "import tomllib, kncal\nfrom kncal.scene.plan import plan\nfrom kncal.scene.bed_case_file import parse_bed\n"
+_NAMES = "import tomllib, kncal\nfrom kncal.scene.plan import plan\nfrom kncal.scene.case_file import parse_case\n"
 _CONTEXT = multiprocessing.get_context("forkserver")
 _CONTEXT.set_forkserver_preload(list(_MODULES))
 

@@ -15,13 +15,13 @@ from kncal.physics.material import Material
 from kncal.record.facts import bed_facts
 from kncal.record.outcome import RunResult
 from kncal.record.series import BedSeries
-from kncal.scene.bed_scene import BedParticles, BedRun, BedScene, Column, Gas
 from kncal.scene.plan import plan
-from kncal.scene.scene import ContactChoice
+from kncal.scene.scene import ContactChoice, Gas, MaterialData, Particles, RunControl, Scene
+from kncal.scene.walls import BoxWall
 
 Floats = NDArray[np.float64]
 
-PLASTIC = Material(young=1e7, poisson=0.25, density=1000.0, name="soft plastic")
+PLASTIC = Material(young=1e7, poisson=0.25, density=1000.0, name="soft-plastic")
 COUPLING = 5e-3
 #: Memory of the signals [s].
 TAU = 0.05
@@ -31,14 +31,16 @@ MEANS = {"p_in": 14.0, "z_mean": 0.010, "kinetic_energy": 1e-4, "overlap_mean": 
 SPREAD = 0.05
 #: Frames are this many couplings apart.
 EVERY = 4
-SCENE = BedScene(
+SCENE = Scene(
     name="mini",
     title="A small bubbling bed",
-    column=Column(width=0.03, depth=0.006, height=0.06, cells=(10, 2, 20)),
-    particles=BedParticles(count=300, diameter=1.2e-3, material=PLASTIC, packing="lattice"),
-    gas=Gas(density=1.2, viscosity=1.8e-5, U_0=0.8),
+    materials={PLASTIC.name: MaterialData(young=1e7, poisson=0.25, density=1000.0)},
+    walls={"column": BoxWall(shape="box", size=(0.03, 0.006, 0.06))},
+    particles={"beads": Particles(count=300, diameter=1.2e-3, material=PLASTIC.name, place="lattice")},
+    gravity=(0.0, 0.0, -9.81),
+    gas=Gas(cells=(10, 2, 20), density=1.2, viscosity=1.8e-5, U_0=0.8),
     contact=ContactChoice(e_n=0.9, friction=0.1, v_0=0.5),
-    run=BedRun(end_time=4.0, discard=0.2, coupling=COUPLING, frames_every=EVERY * COUPLING),
+    run=RunControl(until_time=4.0, discard=0.2, coupling=COUPLING, frames_every=EVERY * COUPLING),
     tolerances={},
 )
 
@@ -58,7 +60,7 @@ def run_data(
     kind: str,
     seed: int,
     *,
-    scene: BedScene = SCENE,
+    scene: Scene = SCENE,
     length: float = 4.0,
     means: Mapping[str, float] | None = None,
     tau: float = TAU,

@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from kncal.scene.model import Model
-from kncal.scene.scene import Wall
+from kncal.scene.bodies import Wall
+from kncal.scene.model import Plan
 
 COLUMNS = "id x y z vx vy vz omegax omegay omegaz fx fy fz"
 
 
-def deck(model: Model, every: int) -> str:
+def deck(model: Plan, every: int) -> str:
     """The input text for ``model``; a frame every ``every`` steps."""
     scene = model.scene
     types = {body.name: k for k, body in enumerate(scene.bodies, start=1)}
@@ -34,9 +34,9 @@ def deck(model: Model, every: int) -> str:
 
     limits = []
     for k in range(3):
-        spots = [p.position[k] for p in scene.particles]
-        spots += [w.position for w in scene.walls if w.axis == "xyz"[k]]
-        room = 0.01 + max(abs(p.velocity[k]) for p in scene.particles) * model.t_end
+        spots = [p.position[k] for p in scene.spheres]
+        spots += [w.position for w in scene.planes if w.axis == "xyz"[k]]
+        room = 0.01 + max(abs(p.velocity[k]) for p in scene.spheres) * model.t_end
         limits += [repr(min(spots) - room), repr(max(spots) + room)]
     lines = [
         "units si",
@@ -73,14 +73,14 @@ def deck(model: Model, every: int) -> str:
     lines += [f"fix p{k} all property/global {name} {text}" for k, (name, text) in enumerate(properties.items())]
     lines += [f"pair_style gran model {style} tangential history {switches}", "pair_coeff * *"]
     lines.append(f"timestep {model.dt!r}")
-    for wall in scene.walls:
+    for wall in scene.planes:
         lines.append(
             f"fix {wall.name} all wall/gran model {style} tangential history primitive "
             f"type {types[wall.name]} {wall.axis}plane {wall.position!r} {switches}"
         )
-    for k, p in enumerate(scene.particles, start=1):
+    for k, p in enumerate(scene.spheres, start=1):
         lines.append(f"create_atoms {k} single {' '.join(map(repr, p.position))} units box")
-    for k, p in enumerate(scene.particles, start=1):
+    for k, p in enumerate(scene.spheres, start=1):
         lines.append(f"set atom {k} diameter {2 * p.radius!r} density {p.material.density!r}")
         lines.append("set atom {} vx {!r} vy {!r} vz {!r}".format(k, *p.velocity))
         lines.append("set atom {} omegax {!r} omegay {!r} omegaz {!r}".format(k, *p.spin))
@@ -99,7 +99,7 @@ def deck(model: Model, every: int) -> str:
     return "\n".join(lines) + "\n"
 
 
-def run(model: Model, folder: Path, every: int = 1) -> tuple[np.ndarray, np.ndarray]:
+def run(model: Plan, folder: Path, every: int = 1) -> tuple[np.ndarray, np.ndarray]:
     """Run ``model`` in LIGGGHTS; return steps and (frames, particles, 12) in the order of `COLUMNS`."""
     (folder / "in.liggghts").write_text(deck(model, every))
     done = subprocess.run(
@@ -112,7 +112,7 @@ def run(model: Model, folder: Path, every: int = 1) -> tuple[np.ndarray, np.ndar
     )
     assert "HANDMADE_DONE" in done.stdout, done.stdout[-2000:] + done.stderr[-500:]
     lines = (folder / "frames.dump").read_text().splitlines()
-    n = len(model.scene.particles)
+    n = len(model.scene.spheres)
     frames = [lines[k : k + 9 + n] for k in range(0, len(lines), 9 + n)]
     steps = np.array([int(frame[1]) for frame in frames])
     rows = np.array([[line.split()[1:] for line in frame[9:]] for frame in frames], dtype=float)
@@ -120,7 +120,7 @@ def run(model: Model, folder: Path, every: int = 1) -> tuple[np.ndarray, np.ndar
     return steps, rows
 
 
-def rebound_and_overlap(model: Model, x: np.ndarray, v: np.ndarray) -> tuple[float, float]:
+def rebound_and_overlap(model: Plan, x: np.ndarray, v: np.ndarray) -> tuple[float, float]:
     """Speed of leaving (last frame) and largest overlap of the frames, of the first pair of bodies."""
     a, b = model.scene.body_pairs()[0]
     if isinstance(b, Wall):

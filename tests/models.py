@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 from kncal.physics.material import Material, pair, sphere_mass, wall_pair
-from kncal.scene.model import Model, PairContact
+from kncal.scene.bodies import Axis, Particle, Vector, Wall
+from kncal.scene.model import PairContact, Plan
 from kncal.scene.needs import decide
-from kncal.scene.scene import Particle, Scene, Vector, Wall
+from kncal.scene.scene import Scene
 from kncal.scene.species import SpeciesPair, species_of
 
-GLASS = Material(young=5e6, poisson=0.25, density=2500.0, name="soft glass")
+GLASS = Material(young=5e6, poisson=0.25, density=2500.0, name="soft-glass")
 R = 1e-3
 
 
@@ -72,7 +74,7 @@ def model(
     end: str = "overlap",
     flight_every: int = 20,
     record_every: int = 1,
-) -> Model:
+) -> Plan:
     """A model of ``scene`` whose dt is the shortest contact duration over ``steps_per_contact``."""
     contacts: dict[SpeciesPair, PairContact] = {}
     species = species_of(scene)
@@ -81,7 +83,7 @@ def model(
         e = e_n if isinstance(e_n, float) else e_n[names]
         contacts[species.pair_of(names)] = contact(a, b, kind, e_n=e, k_n=k_n, friction=friction, end=end)
     dt = min(c.t_c for c in contacts.values()) / steps_per_contact
-    return Model(
+    return Plan(
         scene=scene,
         kind=kind,
         needs=decide(scene),
@@ -94,7 +96,7 @@ def model(
     )
 
 
-def finer(given: Model, factor: float) -> Model:
+def finer(given: Plan, factor: float) -> Plan:
     """The same model with a time step ``factor`` times smaller."""
     dt = given.dt / factor
     return dataclasses.replace(given, dt=dt, n_steps=math.ceil(given.t_end / dt))
@@ -105,9 +107,9 @@ def head_on(speed: float = 1.0, gap: float = 1.7e-5, radius_2: float = R, axis: 
     x: list[float] = [0.0, 0.0, 0.0]
     v: list[float] = [0.0, 0.0, 0.0]
     x[axis], v[axis] = R + radius_2 + gap, -speed / 2.0
-    return Scene(
+    return Scene.of(
         name="head_on",
-        particles=(
+        spheres=(
             Particle(
                 name="a",
                 material=GLASS,
@@ -125,18 +127,30 @@ def on_wall(
     gap: float = 1.7e-5,
     velocity: Vector = (0.0, 0.0, -1.0),
     gravity: float = 0.0,
-    axis: str = "z",
+    axis: Axis = "z",
     spin: Vector = (0.0, 0.0, 0.0),
 ) -> Scene:
     """One bead above a wall of the same material at 0 on ``axis``; gravity points into the wall."""
     index = "xyz".index(axis)
     x, g = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
     x[index], g[index] = R + gap, -gravity
-    return Scene(
+    return Scene.of(
         name="on_wall",
-        particles=(Particle(name="bead", material=GLASS, radius=R, position=_vector(x), velocity=velocity, spin=spin),),
-        walls=(Wall(name="floor", axis=axis, position=0.0, material=GLASS),),
+        spheres=(Particle(name="bead", material=GLASS, radius=R, position=_vector(x), velocity=velocity, spin=spin),),
+        planes=(Wall(name="floor", axis=axis, position=0.0, material=GLASS),),
         gravity=_vector(g),
+    )
+
+
+def with_bodies(
+    scene: Scene, spheres: Iterable[Particle] | None = None, planes: Iterable[Wall] | None = None, **changes: Any
+) -> Scene:
+    """The same scene with other spheres or planes."""
+    rest = {f.name: getattr(scene, f.name) for f in dataclasses.fields(scene)}
+    for key in ("materials", "particles", "walls"):
+        del rest[key]
+    return Scene.of(
+        scene.spheres if spheres is None else spheres, scene.planes if planes is None else planes, **(rest | changes)
     )
 
 

@@ -17,9 +17,8 @@ from kncal.core.errors import InputError
 
 if TYPE_CHECKING:
     from kncal.physics.material import Pair
-    from kncal.scene.bed_scene import BedScene
-    from kncal.scene.scene import ContactChoice, Particle, Scene
-    from kncal.scene.species import Body
+    from kncal.scene.bodies import Body, Particle
+    from kncal.scene.scene import ContactChoice, Scene
 
 #: A block of more characters is for a file, not for a terminal: a dozen atom types.
 _LONG_BLOCK = 20_000
@@ -167,7 +166,7 @@ class _CasePair(NamedTuple):
         return "–".join(body.name for body in self.bodies)
 
 
-def _pairs(scene: Scene | BedScene) -> Iterator[_CasePair]:
+def _pairs(scene: Scene) -> Iterator[_CasePair]:
     """Every pair of species of a case."""
     from kncal.scene.plan import pair_of, species_choices
     from kncal.scene.species import species_of
@@ -178,9 +177,7 @@ def _pairs(scene: Scene | BedScene) -> Iterator[_CasePair]:
         yield _CasePair(bodies, pair_of(*bodies), e_n, v_0, k_n, species.meetings(which))
 
 
-def _kn_case(
-    scene: Scene | BedScene, uncertain: Sequence[str], options: dict[str, Any], block: BlockFlags, *, json: bool
-) -> None:
+def _kn_case(scene: Scene, uncertain: Sequence[str], options: dict[str, Any], block: BlockFlags, *, json: bool) -> None:
     """Print the calibration of all pairs of a case."""
     from kncal.engines.liggghts.deck_block import case_block
 
@@ -195,7 +192,7 @@ def _kn_case(
         )
     result: dict[str, dict[str, Any]] = {}
     for name, p in pairs.items():
-        given = options | dict(contact.method_options)
+        given = options | dict(contact.options)
         data = kn_data(p.pair, p.v_0, p.e_n, contact.law, contact.end, given, steps, contact.method if many else None)
         if p.k_n is not None:
             data["methods"].append(_prescribed(contact, p, steps))

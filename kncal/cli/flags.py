@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -16,10 +16,8 @@ if TYPE_CHECKING:
     from kncal.engines.base import Engine
     from kncal.physics.material import Material, Pair
     from kncal.physics.matrix import PairMatrix
-    from kncal.scene.bed_scene import BedScene
     from kncal.scene.scene import Scene
 
-_S = TypeVar("_S", bound="Scene | BedScene")
 
 Case = Annotated[str, Parameter(help="name of a shipped case, a case folder, or a case.toml")]
 Json = Annotated[bool, Parameter(name="--json", help="print data for programs")]
@@ -65,14 +63,14 @@ class CaseFlags(Flags):
     """Which values of a case are replaced, and where the results go."""
 
     overrides: Annotated[
-        list[str] | None, several("--set", "KEY=VALUE: replace a value of the case file, e.g. run.end_time=0.2")
+        list[str] | None, several("--set", "KEY=VALUE: replace a value of the case file, e.g. run.until_time=0.2")
     ] = None
     out: Annotated[
         Path | None,
         Parameter(help="folder of the results; default: runs/<case>, of a study runs/<case>_<study>"),
     ] = None
 
-    def load(self, case: str, study: str = "") -> tuple[Scene | BedScene, Path]:
+    def load(self, case: str, study: str = "") -> tuple[Scene, Path]:
         """Return what ``case`` describes, with the values of --set, and the folder of the results."""
         from kncal.scene.case_file import load_case
 
@@ -91,13 +89,13 @@ class EngineFlags(Flags):
     ] = "liggghts"
     transport: Transport = "auto"
 
-    def check(self, scene: Scene | BedScene) -> None:
+    def check(self, scene: Scene) -> None:
         """Refuse a flag that this scene would ignore."""
         from kncal.runs.solving import check_options
 
         check_options(scene, engine=self.engine, transport=self.transport)
 
-    def measured(self, scene: _S, folder: Path, timeout: float | None = None) -> _S:
+    def measured(self, scene: Scene, folder: Path, timeout: float | None = None) -> Scene:
         """Return the scene with the impact speed that it asks to be measured, which may take runs in ``folder``."""
         if scene.contact.measured is None:
             return scene
@@ -119,7 +117,7 @@ class RanksFlags(EngineFlags):
     ] = 1
     oversubscribe: Annotated[bool, Parameter(help="allow more ranks than cores")] = False
 
-    def solver(self, scene: Scene | BedScene) -> Engine:
+    def solver(self, scene: Scene) -> Engine:
         """Return the engine that runs this scene; refuses a flag that it would ignore."""
         from kncal.engines.registry import engine_for
 

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from kncal.physics.statistics import Interval
     from kncal.physics.uncertainty import Distribution, Propagation
     from kncal.runs.impact_speeds import RunSpeeds
-    from kncal.scene.scene import ContactChoice, Particle
-    from kncal.scene.species import Body
+    from kncal.scene.bodies import Body, Particle
+    from kncal.scene.scene import ContactChoice
 
 FromRun = Annotated[
     Path | None,
@@ -148,7 +148,7 @@ def propagate_pair(
         return pair(material, radius, other, radius if same and radius_2 == a.radius else radius_2)
 
     given: dict[str, str | Distribution] = {} if measured is None else {"v_0": measured}
-    options: dict[str, Any] = dict(contact.method_options)
+    options: dict[str, Any] = dict(contact.options)
     return propagate(
         given | texts(uncertain),
         material=a.material,

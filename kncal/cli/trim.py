@@ -49,7 +49,6 @@ def trim(
         A shipped case's name, a case folder or a case.toml.
     """
     from kncal.observe.tolerances import parse_tolerances
-    from kncal.scene.bed_scene import BedScene
     from kncal.scene.metrics import COUPLED, FEW_PARTICLES
     from kncal.study.trim.report import write_trim
     from kncal.study.trim.run import TrimOptions
@@ -61,7 +60,7 @@ def trim(
     options = TrimOptions(
         model=model,
         overrides=tuple(at.overrides or ()),
-        tolerances=parse_tolerances(tolerance or (), COUPLED if isinstance(scene, BedScene) else FEW_PARTICLES),
+        tolerances=parse_tolerances(tolerance or (), COUPLED if scene.coupled else FEW_PARTICLES),
         parts=None if parts is None else tuple(name.strip() for name in parts.split(",")),
         rounds=rounds,
         engine=by.engine,

@@ -20,9 +20,8 @@ from kncal.record.frames import Trajectory
 from kncal.record.liggghts_dump import read_trajectory
 from kncal.record.outcome import RunResult
 from kncal.record.steps import DemStep, GasFields, GasStep
-from kncal.scene.bed_scene import BedScene, Jet
-from kncal.scene.model import BedModel, Model
-from kncal.scene.scene import Scene
+from kncal.scene.model import Plan
+from kncal.scene.scene import Jet, Scene
 
 #: The recorded frames of a run, in its folder.
 FRAMES = "particles.dump"
@@ -66,7 +65,7 @@ class Engine(ABC):
     def profile(self) -> Profile:
         """Look for the solver on this machine."""
 
-    def check(self, scene: Scene | BedScene, *, by_hand: bool = False) -> None:
+    def check(self, scene: Scene, *, by_hand: bool = False) -> None:
         """Refuse a scene that this engine cannot run (``by_hand``: that it cannot render).
 
         Raises
@@ -74,7 +73,7 @@ class Engine(ABC):
         InputError
             Saying why.
         """
-        if isinstance(scene, BedScene):
+        if scene.coupled:
             raise InputError(f"{scene.name}: the engine {self.name} has no gas; expected the engine coupled")
 
     def start(self, scene: Any, *, tell: Tell | None = None, progress: Progress | None = None) -> Array | None:
@@ -125,7 +124,7 @@ class Engine(ABC):
         return read_frames(plan, folder)
 
 
-def run_result(engine: str, model: Model | BedModel, folder: Path, status: str, **fields: Any) -> RunResult:
+def run_result(engine: str, model: Plan, folder: Path, status: str, **fields: Any) -> RunResult:
     """Return the result of a run of ``model``; what is not in ``fields`` is empty or zero."""
     rest: dict[str, Any] = {"cpu_seconds": 0.0, "wall_seconds": 0.0, "version": ""} | fields
     return RunResult(
@@ -133,9 +132,7 @@ def run_result(engine: str, model: Model | BedModel, folder: Path, status: str, 
     )
 
 
-def guarded(
-    engine: str, model: Model | BedModel, folder: Path, work: Callable[[], Mapping[str, Any]], **known: Any
-) -> RunResult:
+def guarded(engine: str, model: Plan, folder: Path, work: Callable[[], Mapping[str, Any]], **known: Any) -> RunResult:
     """Return the result of a run that ``work`` does, with the fields that it returns; its errors become a status.
 
     ``known``: fields that also a failed run has. Without others the costs are those of this thread.
@@ -160,7 +157,7 @@ def guarded(
     return run_result(engine, model, folder, **({"status": status} | costs | found))
 
 
-def read_frames(model: Model, folder: Path) -> Trajectory:
+def read_frames(model: Plan, folder: Path) -> Trajectory:
     """Read the recorded frames of a completed run of ``model``.
 
     Raises
@@ -168,7 +165,7 @@ def read_frames(model: Model, folder: Path) -> Trajectory:
     ReadError
         If the frames are missing, truncated, not those of the model's particles, or do not span the model's steps.
     """
-    particles = model.scene.particles
+    particles = model.scene.spheres
     path = folder / FRAMES
     frames = read_trajectory(path, tuple(p.name for p in particles), [p.radius for p in particles], model.dt)
     first, last = int(frames.step[0]), int(frames.step[-1])
@@ -206,24 +203,23 @@ class GasSetup:
     parcels_per_particle: int = 1
 
 
-def gas_setup(model: BedModel) -> GasSetup | None:
+def gas_setup(model: Plan) -> GasSetup | None:
     """Return what the gas side needs to know, None for a bed without gas."""
     scene, gas = model.scene, model.scene.gas
     if gas is None:
         return None
-    column = scene.column
     return GasSetup(
-        size=(column.width, column.depth, column.height),
-        cells=column.cells,
+        size=scene.box.size,
+        cells=gas.cells,
         inlet=gas.inlet_at(0.0),
         jet=gas.jet,
         density=gas.density,
         viscosity=gas.viscosity,
-        gravity=scene.gravity,
+        gravity=scene.g,
         step=model.gas_step,
         drag=gas.drag,
-        walls=column.gas_walls,
-        front_back=column.front_back,
+        walls=gas.walls,
+        front_back=scene.front_back,
         parcels_per_particle=gas.parcels_per_particle,
     )
 

@@ -43,8 +43,7 @@ from kncal.engines.settle import start_positions
 from kncal.record.liggghts_log import END_MARKER
 from kncal.record.outcome import RunResult
 from kncal.record.series import PIECES, SERIES, read_series, series_reaches, write_series_csv
-from kncal.scene.bed_scene import BedScene
-from kncal.scene.model import BedModel
+from kncal.scene.model import Plan
 from kncal.scene.scene import Scene
 
 TRANSPORTS = ("auto", "live", "restart")
@@ -72,7 +71,7 @@ def choose_transport(wanted: str) -> tuple[str, Path | None]:
     return ("live", library) if library is not None else ("restart", None)
 
 
-def check_bed_ranks(scene: BedScene, ranks: int) -> None:
+def check_bed_ranks(scene: Scene, ranks: int) -> None:
     """Refuse several ranks for a bed whose particles move, or whose gas cannot be cut into so many parts.
 
     Raises
@@ -90,11 +89,11 @@ def check_bed_ranks(scene: BedScene, ranks: int) -> None:
             "exchange everything through one process after every interval. Expected 1; several cases side by side "
             "(kncal sweep) use all cores"
         )
-    check_divisions(scene.column.cells, ranks)
+    check_divisions(scene.gas.cells, ranks)
 
 
-def _moves(scene: BedScene) -> bool:
-    return scene.particles.count > 0 and not scene.particles.frozen
+def _moves(scene: Scene) -> bool:
+    return scene.group.number > 0 and not scene.group.frozen
 
 
 class Still:
@@ -159,22 +158,22 @@ class Coupled(Engine):
             problem="" if not missing else f"a coupled bed needs {' and '.join(missing)}",
         )
 
-    def check(self, scene: Scene | BedScene, *, by_hand: bool = False) -> None:
+    def check(self, scene: Scene, *, by_hand: bool = False) -> None:
         """Refuse a scene that is not one of gas and many particles, or that cannot run on so many ranks."""
-        if not isinstance(scene, BedScene):
+        if not scene.coupled:
             raise InputError(f"{scene.name}: the engine {self.name} is for beds; expected liggghts or builtin")
         if not by_hand:
             check_bed_ranks(scene, self.ranks)
 
-    def start(self, scene: BedScene, *, tell: Tell | None = None, progress: Progress | None = None) -> Array:
+    def start(self, scene: Scene, *, tell: Tell | None = None, progress: Progress | None = None) -> Array:
         """Settle the particles, or take them from the cache; see `kncal.engines.settle.start_positions`."""
         return start_positions(scene, tell=tell, progress=progress)
 
-    def command(self, plan: BedModel, *, by_hand: bool = False) -> tuple[str, ...]:
+    def command(self, plan: Plan, *, by_hand: bool = False) -> tuple[str, ...]:
         """Return what runs each side by hand; nothing runs both."""
         return (f"./{ALLRUN}",) if by_hand else ()
 
-    def render(self, plan: BedModel, folder: Path, *, start: Array | None = None, by_hand: bool = False) -> None:
+    def render(self, plan: Plan, folder: Path, *, start: Array | None = None, by_hand: bool = False) -> None:
         """Write the input of both solvers.
 
         By hand each side runs alone; the exchange between the two, which kncal makes, is not in it.
@@ -207,7 +206,7 @@ class Coupled(Engine):
         if by_hand:
             _write_scripts(plan, folder)
 
-    def resumes_at(self, plan: BedModel, folder: Path) -> str:
+    def resumes_at(self, plan: Plan, folder: Path) -> str:
         """Say where an unfinished run can resume: at a whole checkpoint, with the series up to it; empty: nowhere."""
         found = last_checkpoint(folder, plan.couplings)
         if found is None or not series_reaches(folder / PIECES, found.coupling):
@@ -216,7 +215,7 @@ class Coupled(Engine):
 
     def run(
         self,
-        plan: BedModel,
+        plan: Plan,
         folder: Path,
         *,
         start: Array | None = None,
@@ -255,12 +254,12 @@ class Coupled(Engine):
 
         return guarded(self.name, plan, folder, work, cpu_seconds=0.0, extra=transport)
 
-    def _gas(self, plan: BedModel, folder: Path, pass_fds: Sequence[int]) -> GasSolver | None:
+    def _gas(self, plan: Plan, folder: Path, pass_fds: Sequence[int]) -> GasSolver | None:
         setup = gas_setup(plan)
         if setup is None:
             return None
         if self._library is not None:
-            return LiveGas(setup, folder / GAS, self._library, plan.scene.particles.count, pass_fds=pass_fds)
+            return LiveGas(setup, folder / GAS, self._library, plan.scene.group.number, pass_fds=pass_fds)
         return RestartGas(setup, folder / GAS, ranks=self.ranks, oversubscribe=self.oversubscribe, pass_fds=pass_fds)
 
 
@@ -269,11 +268,11 @@ def _given(start: Array | None) -> Array:
 
 
 def _particles(
-    plan: BedModel, folder: Path, start: Array, first: int, state: Path | None, pass_fds: Sequence[int]
+    plan: Plan, folder: Path, start: Array, first: int, state: Path | None, pass_fds: Sequence[int]
 ) -> ParticleSolver:
     """Start the particles at ``start``, or at the ``state`` after coupling ``first``."""
     if not _moves(plan.scene):
-        return Still(start, plan.scene.particles.diameter)
+        return Still(start, plan.scene.group.diameter)
     at = None if state is None else state / PARTICLES
     particles = LiggghtsDem(plan, folder / PARTICLES, None if at else start, restart=at, pass_fds=pass_fds)
     if at is not None and particles.step != first * plan.steps_per_coupling:
@@ -304,7 +303,7 @@ def _set_aside(folder: Path) -> None:
     folder.rename(aside)
 
 
-def _write_scripts(plan: BedModel, folder: Path) -> None:
+def _write_scripts(plan: Plan, folder: Path) -> None:
     """Write what a person starts and reads."""
     scene, setup = plan.scene, gas_setup(plan)
     context: dict[str, object] = {

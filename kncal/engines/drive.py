@@ -22,7 +22,7 @@ from kncal.engines.checkpoint import write_checkpoint
 from kncal.record.facts import bed_facts
 from kncal.record.series import PIECES, SeriesWriter
 from kncal.record.steps import NOT_PASSED_LIMIT, REACTION_LIMIT, GasStep
-from kncal.scene.model import BedModel
+from kncal.scene.model import Plan
 
 #: Seconds of wall time between checkpoints.
 CHECKPOINT_SECONDS = 60.0
@@ -64,7 +64,7 @@ class _Meter:
 
 
 def drive(
-    plan: BedModel,
+    plan: Plan,
     particles: ParticleSolver,
     gas: GasSolver | None,
     folder: Path,
@@ -78,7 +78,7 @@ def drive(
 
     Parameters
     ----------
-    plan : BedModel
+    plan : Plan
     particles : at the state after coupling ``first``
     gas : likewise; None for a scene without gas
     folder : Path
@@ -132,13 +132,13 @@ def drive(
 class _GasSide:
     """The gas of one scene: its inlet velocity by time, and its step with the particles of the scene."""
 
-    def __init__(self, plan: BedModel, gas: GasSolver) -> None:
+    def __init__(self, plan: Plan, gas: GasSolver) -> None:
         self._plan, self._gas = plan, gas
-        particles = plan.scene.particles
-        self._diameter = np.full(particles.count, particles.diameter)
-        self._density = np.full(particles.count, float(particles.material.density))
+        group = plan.scene.group
+        self._diameter = np.full(group.number, group.diameter)
+        self._density = np.full(group.number, plan.scene.density)
         mass = self._density * np.pi / 6.0 * self._diameter**3
-        self._weight = float(mass.sum()) * plan.scene.gravity
+        self._weight = float(mass.sum()) * plan.scene.g
 
     def __call__(self, x: Array, v: Array, number: int) -> tuple[float, GasStep]:
         """Return the inlet velocity of coupling ``number`` [m/s], and what the gas did; RunError if it is not right."""

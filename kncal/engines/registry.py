@@ -14,7 +14,6 @@ from kncal.engines.coupled import Coupled
 from kncal.engines.dpmfoam import installed as openfoam
 from kncal.engines.liggghts import installed as liggghts
 from kncal.engines.liggghts.batch import Liggghts
-from kncal.scene.bed_scene import BedScene
 from kncal.scene.scene import Scene
 
 
@@ -63,7 +62,7 @@ def get_engine(name: str, transport: str = "", *, ranks: int = 1, oversubscribe:
 
 
 def engine_for(
-    scene: Scene | BedScene,
+    scene: Scene,
     name: str = "liggghts",
     transport: str = "auto",
     *,
@@ -78,5 +77,5 @@ def engine_for(
         For an unknown name, or a number of ranks that cannot be.
     """
     coupled = next(entry.name for entry in ENGINES.values() if entry.coupled)
-    used = coupled if isinstance(scene, BedScene) else name
+    used = coupled if scene.coupled else name
     return get_engine(used, transport, ranks=ranks, oversubscribe=oversubscribe)

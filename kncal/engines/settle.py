@@ -29,10 +29,10 @@ from kncal.core.stopping import check_stop
 from kncal.engines.base import Progress, Tell
 from kncal.engines.liggghts.deck import bed_deck, data_text, deck_text
 from kncal.engines.liggghts.library import LiggghtsDem
-from kncal.scene.bed_scene import BedScene
-from kncal.scene.model import BedModel
+from kncal.scene.model import Plan
 from kncal.scene.placement import PLACEMENTS
 from kncal.scene.plan import MOST_STEPS, plan
+from kncal.scene.scene import Scene
 
 #: Settled: mean kinetic energy of a particle below this share of m g d, ...
 RESTING = 1e-5
@@ -47,15 +47,15 @@ _PART = 4_000_000  # particles times steps between two words about progress: a s
 _LONG = 10.0  # s; how long it takes is said if it is more
 
 
-def start_positions(scene: BedScene, *, tell: Tell | None = None, progress: Progress | None = None) -> Array:
+def start_positions(scene: Scene, *, tell: Tell | None = None, progress: Progress | None = None) -> Array:
     """Return the centres (n, 3) [m] at the start, the same for both models (the packing is cached by its inputs).
 
     ``tell``, ``progress``: see `packing`.
     """
-    if scene.particles.count == 0:
+    if scene.group.number == 0:
         return np.zeros((0, 3))
     log = logging.getLogger("kncal")
-    log.info("packing %d particles", scene.particles.count)
+    log.info("packing %d particles", scene.group.number)
     try:
         kept = cache_folder() / "packings"
         kept.mkdir(parents=True, exist_ok=True)
@@ -65,9 +65,9 @@ def start_positions(scene: BedScene, *, tell: Tell | None = None, progress: Prog
     return packing(plan(to_settle(scene), ("linear",))["linear"], kept, tell=tell, progress=progress)
 
 
-def to_settle(scene: BedScene) -> BedScene:
-    """Return the scene as it settles: with the spring ``particles.settle_k_n``, whatever its own contact and step."""
-    k_n = scene.particles.settle_k_n
+def to_settle(scene: Scene) -> Scene:
+    """Return the scene as it settles: with the spring ``settle_k_n``, whatever its own contact and step."""
+    k_n = scene.group.settle_k_n
     if k_n is None:
         return scene
     contact = replace(scene.contact, k_n=k_n, pairs=tuple(replace(pair, k_n=None) for pair in scene.contact.pairs))
@@ -75,7 +75,7 @@ def to_settle(scene: BedScene) -> BedScene:
 
 
 def packing(
-    model: BedModel, cache_dir: Path | None = None, *, tell: Tell | None = None, progress: Progress | None = None
+    model: Plan, cache_dir: Path | None = None, *, tell: Tell | None = None, progress: Progress | None = None
 ) -> Array:
     """Return where the particles of ``model.scene`` start, centres (n, 3) [m], row i for the particle with id i + 1.
 
@@ -84,7 +84,7 @@ def packing(
 
     Parameters
     ----------
-    model : BedModel
+    model : Plan
         The linear one, so that the linear and the Hertz run start alike.
     cache_dir : Path, optional
         Settled packings are kept there under a hash of all that they depend on, and taken from there.
@@ -101,14 +101,14 @@ def packing(
         If LIGGGHTS fails, or the particles do not come to rest.
     """
     scene = model.scene
-    placement = PLACEMENTS.find(scene.particles.packing)
+    placement = PLACEMENTS.find(scene.group.place)
     start = placement.place(scene)
     if not placement.settles:
         return start
     if model.kind != "linear":
         raise InputError(f"{scene.name}: packing of the {model.kind!r} model, expected the linear one")
-    if scene.gravity <= 0.0:
-        raise InputError(f"{scene.name}: packing 'settled' without gravity: expected gravity > 0, or packing 'lattice'")
+    if scene.g <= 0.0:
+        raise InputError(f'{scene.name}: place = "settled" without gravity: expected gravity, or place = "lattice"')
     model = replace(model, dt=max(model.dt, min(c.t_c for c in model.contacts.values()) / SETTLING_STEPS))
     if cache_dir is None:
         return _settle(model, start, tell or _silent, progress)
@@ -143,14 +143,14 @@ def _silent(_: str) -> None:
     pass
 
 
-def _settle(model: BedModel, start: Array, tell: Tell, progress: Progress | None) -> Array:
+def _settle(model: Plan, start: Array, tell: Tell, progress: Progress | None) -> Array:
     scene = model.scene
-    d, g = scene.particles.diameter, scene.gravity
+    d, g = scene.group.diameter, scene.g
     fall = math.sqrt(2.0 * float(start[:, 2].max()) / g)
     if fall > MOST_STEPS * model.dt:
         raise InputError(
             f"{scene.name}: the particles fall for {fall:.3g} s until they are settled, {fall / model.dt:.3g} steps: "
-            f"expected at most {MOST_STEPS:.3g}; take more gravity, or packing 'lattice'"
+            f'expected at most {MOST_STEPS:.3g}; take more gravity, or place = "lattice"'
         )
     chunk = max(1, round(math.sqrt(d / g) / model.dt))
     looks = math.ceil(PATIENCE * fall / (chunk * model.dt))
@@ -172,7 +172,8 @@ def _settle(model: BedModel, start: Array, tell: Tell, progress: Progress | None
                 return x
     raise RunError(
         f"{scene.name}: the particles did not settle in {looks * chunk * model.dt:.3g} s: mean kinetic energy "
-        f"{share:.2g} m g d, expected below {RESTING:g}; take e_n below 1, a smaller time step, or packing 'lattice'"
+        f"{share:.2g} m g d, expected below {RESTING:g}; take e_n below 1, a smaller time step, or "
+        'place = "lattice"'
     )
 
 
@@ -204,11 +205,11 @@ def _looks_left(shares: list[float], falling: int) -> int:
 class _Said:
     """Says what is done and, after the first steps, how long it will take."""
 
-    def __init__(self, scene: BedScene, steps: int, dt: float, tell: Tell, progress: Progress | None) -> None:
+    def __init__(self, scene: Scene, steps: int, dt: float, tell: Tell, progress: Progress | None) -> None:
         self._tell, self._progress = tell, progress
         tell(
-            f"packing: {scene.particles.count} particles settle in LIGGGHTS before the run, about {steps:.2g} steps of "
-            f"{dt:.3g} s; the packing is kept for other runs of this bed (without: particles.packing = 'lattice')"
+            f"packing: {scene.group.number} particles settle in LIGGGHTS before the run, about {steps:.2g} steps of "
+            f'{dt:.3g} s; the packing is kept for other runs of this bed (without: place = "lattice")'
         )
         self._began: float | None = None
 
@@ -224,7 +225,7 @@ class _Said:
         self._began = awake() if done == 0 else None
 
 
-def _key(model: BedModel, start: Array) -> str:
+def _key(model: Plan, start: Array) -> str:
     """Return a hash of all that a settled packing depends on."""
     deck = bed_deck(model, start)
     assert deck.start is not None  # noqa: S101  # it was given
@@ -238,16 +239,16 @@ def _store(path: Path, positions: Array) -> None:
         np.savez(file, positions=positions)
 
 
-def _load(path: Path, scene: BedScene) -> Array | None:
+def _load(path: Path, scene: Scene) -> Array | None:
     """Return the kept packing; None, with a warning, if the file is damaged: then it is made anew."""
     if not os.path.lexists(path):
         return None
-    count, column = scene.particles.count, scene.column
+    count, box = scene.group.number, scene.box
     try:
         positions = np.asarray(read_npz(path, _MOST_BYTES)["positions"], dtype=np.float64)
         if positions.shape != (count, 3):
             raise ReadError(f"shape {positions.shape}, expected ({count}, 3)")
-        if not ((positions >= 0.0) & (positions <= [column.width, column.depth, column.height])).all():
+        if not ((positions >= 0.0) & (positions <= box.size)).all():
             raise ReadError("positions outside the column")
     except (ReadError, KeyError) as error:
         logging.getLogger("kncal").warning("%s: damaged (%s); the packing is made anew", path, error)

@@ -6,14 +6,14 @@ import numpy as np
 
 from kncal.core.checks import Array
 from kncal.record.frames import Trajectory
-from kncal.scene.model import Model
-from kncal.scene.scene import AXES, Particle, Wall
+from kncal.scene.bodies import AXES, Particle, Wall
+from kncal.scene.model import Plan
 
 #: What a run died of in which a body went through another one (see `kncal.record.outcome.FAILURES`).
 PASSED_THROUGH = "passed-through"
 
 
-def passages(model: Model, trajectory: Trajectory) -> tuple[str, ...]:
+def passages(model: Plan, trajectory: Trajectory) -> tuple[str, ...]:
     """Return a sentence about each pair of which one went through the other: the overlap reached the smaller radius.
 
     Looked at are the frames, and the straight way between two of them: in contact there is one after each step or few,

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 #: sampled sub-step phases, the run has a phase of its own.
 PREDICTION_MARGIN = 1.1
 #: What two runs of one scene share.
-_SCENE = ("particles", "walls", "column", "gas", "gravity")
+_SCENE = ("materials", "particles", "walls", "gas", "gravity", "periodic", "layer")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +90,7 @@ class Comparison:
 
     @property
     def needed_end(self) -> float | None:
-        """run.end_time that would decide all undecided rows [s]; None if there is none, or it is out of reach."""
+        """run.until_time that would decide all undecided rows [s]; None if there is none, or it is out of reach."""
         return needed_end(self.rows)
 
     @property
@@ -194,7 +194,7 @@ def compare(run: RunData, reference: RunData, tolerances: Mapping[str, float] | 
 
 def _same_scene(run: RunData, reference: RunData) -> None:
     a, b = run.model.scene, reference.model.scene
-    differing = [name for name in _SCENE if getattr(a, name, None) != getattr(b, name, None)]
+    differing = [name for name in _SCENE if getattr(a, name) != getattr(b, name)]
     if differing:
         raise InputError(
             f"the runs in {run.result.folder} and {reference.result.folder} differ in their {', '.join(differing)}:"
@@ -268,7 +268,7 @@ def _theory(seen: BedObservations) -> dict[str, Any]:
     }
 
 
-def _contacts(model: Plan[Any]) -> list[dict[str, Any]]:
+def _contacts(model: Plan) -> list[dict[str, Any]]:
     """The contacts for the JSON file; pairs that are alike once, with their number."""
     return [
         {

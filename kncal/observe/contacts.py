@@ -17,9 +17,10 @@ from kncal.core.checks import Array
 from kncal.physics.contact_estimators import ContactMeasure, measure_contact
 from kncal.physics.material import sphere_mass
 from kncal.record.frames import Trajectory
+from kncal.scene.bodies import AXES, Particle, Wall
 from kncal.scene.contact_event import ContactEvent, Names
-from kncal.scene.model import Model
-from kncal.scene.scene import AXES, Particle, Scene, Wall
+from kncal.scene.model import Plan
+from kncal.scene.scene import Scene
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -141,7 +142,7 @@ def overlaps(scene: Scene, trajectory: Trajectory) -> dict[Names, OverlapSeries]
     return series
 
 
-def observe(model: Model, trajectory: Trajectory) -> Observations:
+def observe(model: Plan, trajectory: Trajectory) -> Observations:
     """Find every contact in the frames of a run, and the metrics that apply."""
     scene, t = model.scene, trajectory.t
     series: dict[Names, OverlapSeries] = {}

@@ -93,7 +93,7 @@ class Speed:
     caveats: tuple[str, ...] = ()
 
 
-def cost(model: Plan[Any], result: RunResult, cpu_samples: Sequence[float] = ()) -> Cost:
+def cost(model: Plan, result: RunResult, cpu_samples: Sequence[float] = ()) -> Cost:
     """Return the cost of a completed run of ``model``; ``cpu_samples`` of repeats [s].
 
     Raises

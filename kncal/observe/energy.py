@@ -15,7 +15,7 @@ from kncal.observe.contacts import OverlapSeries, overlaps
 from kncal.physics.material import sphere_mass
 from kncal.record.frames import Trajectory
 from kncal.scene.contact_event import ContactEvent
-from kncal.scene.model import Model
+from kncal.scene.model import Plan
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +48,7 @@ class Energy:
         return np.asarray(self.mechanical + self.dissipated - self.mechanical[0])
 
 
-def energy(model: Model, trajectory: Trajectory) -> Energy:
+def energy(model: Plan, trajectory: Trajectory) -> Energy:
     """Return where the energy of a run is.
 
     Raises
@@ -60,7 +60,7 @@ def energy(model: Model, trajectory: Trajectory) -> Energy:
     if rubbing:
         raise ValidityError(f"{rubbing[0]}: the work of friction is not in the frames: expected smooth contacts")
     scene, frames = model.scene, len(trajectory.t)
-    m = np.array([float(sphere_mass(p.material, p.radius)) for p in scene.particles])
+    m = np.array([float(sphere_mass(p.material, p.radius)) for p in scene.spheres])
     inertia = 0.4 * m * trajectory.radius**2
     moving = 0.5 * np.einsum("p,fpk->f", m, trajectory.v**2)
     turning = 0.5 * np.einsum("p,fpk->f", inertia, trajectory.spin**2)
@@ -79,7 +79,7 @@ def energy(model: Model, trajectory: Trajectory) -> Energy:
     )
 
 
-def _contact(model: Model, names: tuple[str, str], series: OverlapSeries) -> tuple[Array, Array]:
+def _contact(model: Plan, names: tuple[str, str], series: OverlapSeries) -> tuple[Array, Array]:
     """Energy in the spring [J] and power of the dashpot [W] at every frame."""
     c = model.between(*names)
     delta = np.maximum(series.delta, 0.0)

@@ -26,6 +26,7 @@ from kncal.physics.statistics import Average, Interval, average
 from kncal.record.series import BedSeries
 from kncal.scene.pair_contact import PairNumbers
 from kncal.scene.scene import ContactChoice
+from kncal.scene.species import SpeciesPair
 
 if TYPE_CHECKING:
     from kncal.scene.contact_event import ContactEvent
@@ -36,8 +37,8 @@ STATISTICS: Mapping[str, str] = {
     "energy_weighted": "energy-weighted mean",
     "p99": "99th percentile",
 }
-#: Which impacts: of two particles, of a particle and a wall.
-KINDS_OF_IMPACTS = ("particles", "walls")
+#: Which impacts of a coupled run are told apart, with the pair of species: of two particles, of a particle and a wall.
+KINDS_OF_IMPACTS: Mapping[str, SpeciesPair] = {"particles": (0, 0), "walls": (0, 1)}
 #: Fewer impacts than this say too little of a mean; of the 99th percentile, a hundred times less the share above it.
 LEAST_IMPACTS, LEAST_FOR_P99 = 100, 1000
 _P99 = 0.99
@@ -182,7 +183,7 @@ def stiffness_at(
                         law=contact.law,
                         method=contact.method,
                         end=contact.end,
-                        **contact.method_options,
+                        **contact.options,
                     ).k_n
                 )
                 for v in (speed.value, speed.low, speed.high)

@@ -27,7 +27,7 @@ class Row:
     ----------
     metric, unit, text : name, unit of ``run`` and ``reference``, and what it is
     run, reference : Estimate; of two fields without a value, and the ``width`` of ``run`` is what sampling alone gives
-    difference : (run - reference)/scale [-]; its ``needed_end`` is the ``run.end_time`` that would decide [s], of an
+    difference : (run - reference)/scale [-]; its ``needed_end`` is the ``run.until_time`` that would decide [s], of an
         undecided one: None if that is more than 100 times as long, or no question of length
     scale, basis : what a difference is divided by, in the metric's unit (None if there is none), and what that is
     tolerance : allowed size of the difference [-]; None: not judged

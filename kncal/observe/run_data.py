@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -48,7 +48,7 @@ class RunData:
     cpu_samples : CPU seconds of repeated runs of the same input; empty: only ``result.cpu_seconds``
     """
 
-    model: Plan[Any]
+    model: Plan
     result: RunResult
     frames: Trajectory | None = None
     contacts: Observations | None = None

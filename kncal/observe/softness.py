@@ -19,9 +19,9 @@ from kncal.observe.run_data import RunData
 from kncal.physics.calibration import OVERLAP_DOUBTFUL
 from kncal.physics.material import sphere_mass
 from kncal.physics.statistics import MIN_SAMPLES, average, start_up
+from kncal.scene.bodies import Particle
 from kncal.scene.load import bottom_overlaps
-from kncal.scene.model import BedModel, Model, PairContact
-from kncal.scene.scene import Particle
+from kncal.scene.model import PairContact, Plan
 from kncal.scene.species import SpeciesPair
 
 #: Speed over the speed of sound of a chain: at 0.1 densities vary by about 1 %.
@@ -108,12 +108,12 @@ def secant(contact: PairContact) -> float:
     return math.pi**2 * contact.m_eff / contact.t_c**2
 
 
-def model_signs(model: BedModel) -> tuple[Sign, ...]:
+def model_signs(model: Plan) -> tuple[Sign, ...]:
     """Return the signs of a bed that need no run: the overlap under its weight, and the speed of sound."""
     if not model.contacts:
         return ()
     scene = model.scene
-    d = scene.particles.diameter
+    d = scene.group.diameter
     return (_static(max(bottom_overlaps(model).values()) / d, "at the bottom of the bed at rest"), _bed_sound(model))
 
 
@@ -140,10 +140,10 @@ def _bed(data: RunData, reference: RunData | None) -> tuple[Sign, ...]:
     return tuple(found)
 
 
-def _bed_sound(model: BedModel, reference: BedModel | None = None) -> Sign:
+def _bed_sound(model: Plan, reference: Plan | None = None) -> Sign:
     scene = model.scene
-    contact, d = _shortest(model.contacts), scene.particles.diameter
-    mass = float(sphere_mass(scene.particles.material, d / 2.0))
+    contact, d = _shortest(model.contacts), scene.group.diameter
+    mass = float(sphere_mass(scene.spheres[0].material, d / 2.0))
     fastest = {"v_0": contact.v_0 or 0.0, "U_0": 0.0 if scene.gas is None else scene.gas.inlet_at(0.0)}
     name = max(fastest, key=fastest.__getitem__)
     other = None if reference is None else _shortest(reference.contacts)
@@ -181,11 +181,11 @@ def _beyond(x: Array | np.ndarray[tuple[int, ...], np.dtype[np.float32]], size: 
 # --- single contacts ----------------------------------------------------------
 
 
-def _contacts(data: RunData, reference: Model | None) -> tuple[Sign, ...]:
+def _contacts(data: RunData, reference: Plan | None) -> tuple[Sign, ...]:
     model, events = data.model, data.observations.contacts
     if not events:
         return ()
-    bodies = {p.name: p for p in model.scene.particles}
+    bodies = {p.name: p for p in model.scene.spheres}
     radius = {
         (a.name, b.name): min(body.radius for body in (a, b) if isinstance(body, Particle))
         for a, b in model.scene.body_pairs()
@@ -212,17 +212,17 @@ def _mass(particle: Particle) -> float:
     return float(sphere_mass(particle.material, particle.radius))
 
 
-def _at_rest(model: Model, pair: tuple[str, str]) -> float:
+def _at_rest(model: Plan, pair: tuple[str, str]) -> float:
     scene = model.scene
-    masses = [_mass(p) for p in scene.particles if p.name in pair]
+    masses = [_mass(p) for p in scene.spheres if p.name in pair]
     pull = float(np.linalg.norm(scene.gravity))
     return model.between(*pair).overlap_under(min(masses) * pull)
 
 
 def _through(data: RunData) -> int:
     """Count the pairs of a particle and a wall whose overlap was more than the radius."""
-    radius = {p.name: p.radius for p in data.model.scene.particles}
-    walls = {wall.name for wall in data.model.scene.walls}
+    radius = {p.name: p.radius for p in data.model.scene.spheres}
+    walls = {wall.name for wall in data.model.scene.planes}
     return sum(
         bool((series.delta > sum(radius.get(name, 0.0) for name in pair)).any())
         for pair, series in data.observations.series.items()

@@ -13,21 +13,21 @@ from kncal.physics.material import sphere_mass
 from kncal.physics.timestep import predict_error
 from kncal.record.frames import Trajectory
 from kncal.scene.ballistics import first_touch
+from kncal.scene.bodies import AXES
 from kncal.scene.exact import ExactSolution, solve
-from kncal.scene.model import Model
-from kncal.scene.scene import AXES
+from kncal.scene.model import Plan
 
 #: Frames per contact and between contacts at which an exact motion is observed; the Hermite estimators are of
 #: fourth order, so that this many leave a relative error of about 1e-10.
 _FRAMES = 400
 
 
-def exact_motion(model: Model) -> ExactSolution | None:
+def exact_motion(model: Plan) -> ExactSolution | None:
     """Return the exact motion of ``model``; None where friction acts, for which there is no exact motion here."""
     return None if model.needs.uses("tangential") else solve(model, model.t_end)
 
 
-def exact_metrics(model: Model, motion: ExactSolution | None) -> dict[str, float] | None:
+def exact_metrics(model: Plan, motion: ExactSolution | None) -> dict[str, float] | None:
     """Return the metrics (see `kncal.observe.contacts`) of the exact motion, as far as there is one; None if there is
     not.
 
@@ -36,7 +36,7 @@ def exact_metrics(model: Model, motion: ExactSolution | None) -> dict[str, float
     """
     if motion is not None:
         return dict(observe(model, exact_trajectory(model, motion)).metrics)
-    if len(model.scene.body_pairs()) != 1 or not model.scene.walls:
+    if len(model.scene.body_pairs()) != 1 or not model.scene.planes:
         return None
     smooth = model.without_friction()
     frames = exact_trajectory(smooth, solve(smooth, model.t_end))
@@ -45,9 +45,9 @@ def exact_metrics(model: Model, motion: ExactSolution | None) -> dict[str, float
     return {k: v for k, v in normal.items() if k.startswith(kept)} | _friction_metrics(model, normal)
 
 
-def _friction_metrics(model: Model, normal: Mapping[str, float]) -> dict[str, float]:
+def _friction_metrics(model: Plan, normal: Mapping[str, float]) -> dict[str, float]:
     (contact,) = model.contacts.values()
-    (particle,), (wall,) = model.scene.particles, model.scene.walls
+    (particle,), (wall,) = model.scene.spheres, model.scene.planes
     axis = AXES.index(wall.axis)
     v_t = float(np.linalg.norm(np.delete(particle.velocity, axis)))
     if any(particle.spin) or v_t == 0.0:
@@ -69,7 +69,7 @@ def _friction_metrics(model: Model, normal: Mapping[str, float]) -> dict[str, fl
     }
 
 
-def exact_trajectory(model: Model, motion: ExactSolution) -> Trajectory:
+def exact_trajectory(model: Plan, motion: ExactSolution) -> Trajectory:
     """Return the exact motion as frames: dense in the contacts, with one frame just before and after each."""
     times = [np.linspace(0.0, motion.t_end, _FRAMES)]
     for contact in motion.contacts:
@@ -79,7 +79,7 @@ def exact_trajectory(model: Model, motion: ExactSolution) -> Trajectory:
     t = np.unique(np.clip(np.concatenate(times), 0.0, motion.t_end))
     x, v = motion.at(t)
     # Observations take the acceleration of free flight from the force on a free particle: its weight.
-    mass = np.array([float(sphere_mass(p.material, p.radius)) for p in model.scene.particles])
+    mass = np.array([float(sphere_mass(p.material, p.radius)) for p in model.scene.spheres])
     weight = mass[:, None] * np.asarray(model.scene.gravity)
     return Trajectory(
         names=motion.names,
@@ -89,11 +89,11 @@ def exact_trajectory(model: Model, motion: ExactSolution) -> Trajectory:
         v=v,
         spin=np.zeros_like(x),
         force=np.broadcast_to(weight, x.shape),
-        radius=np.array([p.radius for p in model.scene.particles]),
+        radius=np.array([p.radius for p in model.scene.spheres]),
     )
 
 
-def predicted_errors(model: Model, observations: Observations) -> dict[str, float]:
+def predicted_errors(model: Plan, observations: Observations) -> dict[str, float]:
     """Return the relative discretisation error to expect of every metric that comes from contacts (worst phase).
 
     A later contact starts with the error of the speed that the earlier ones left; its overlaps go with the speed

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from kncal.core.units import plus_minus, quantity
 from kncal.observe.averages import BedObservations
@@ -112,7 +111,7 @@ def verdict(
 # --- the sentence -------------------------------------------------------------------------------------------------
 
 
-def _judgement(linear: Plan[Any], hertz: Plan[Any], rows: Sequence[Row], within: str) -> str:
+def _judgement(linear: Plan, hertz: Plan, rows: Sequence[Row], within: str) -> str:
     laws = ", ".join(dict.fromkeys(c.law for c in hertz.contacts.values())) or hertz.kind
     who = f"the linear spring ({spring(linear)})"
     judged = [r for r in rows if r.tolerance is not None]
@@ -150,7 +149,7 @@ def _remedy(undecided: Sequence[Row]) -> tuple[str, str]:
         steps = "take more steps per contact (run.steps_per_contact), or allow more"
         return "the error of the time step is too large to judge", steps
     if (end := needed_end(undecided)) is not None:
-        return "the runs are too short to judge", f"run until about {end:.3g} s (run.end_time)"
+        return "the runs are too short to judge", f"run until about {end:.3g} s (run.until_time)"
     if not any(_by_length(r) for r in undecided):
         return "it is not known well enough to judge", "let the run come to its end, or allow more"
     return "the runs are too short to judge", "run much longer, or allow more"
@@ -161,7 +160,7 @@ def _by_length(row: Row) -> bool:
     return row.basis == RMS or row.run.average is not None
 
 
-def spring(model: Plan[Any]) -> str:
+def spring(model: Plan) -> str:
     """Return the linear springs of a model in words: "k_n = 100 N/m by mean_overlap"."""
     stiffness = sorted({c.k for c in model.contacts.values()})
     if not stiffness:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kncal.core.checks import Array
-from kncal.scene.model import BedModel
+from kncal.scene.model import Plan
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,7 +17,7 @@ class BedFacts:
     Attributes
     ----------
     name : of the scene; kind : "linear" or "hertz"
-    size : box (x, y, z) [m]; cells : gas cells per axis; front_back : see `kncal.scene.bed_scene.DEPTHS`
+    size : box (x, y, z) [m]; cells : gas cells per axis; front_back : see `kncal.scene.scene.DEPTHS`
     count : particles; diameter [m]; density of the particles [kg/m³]; gravity [m/s²]
     gas_density : [kg/m³], 0 without gas
     jet : whether the gas enters through a jet, so that ``p_in`` is the pressure at its slot only
@@ -62,24 +62,23 @@ class BedFacts:
         return self.mass * self.gravity
 
 
-def bed_facts(model: BedModel, histogram_edges: Array, impact_edges: Array) -> BedFacts:
+def bed_facts(model: Plan, histogram_edges: Array, impact_edges: Array) -> BedFacts:
     """Collect the facts of a model.
 
     ``histogram_edges`` (bins + 1,) [m] as the particle side counts overlaps; ``impact_edges`` (bins + 1,) [m/s] as it
     counts impact speeds, empty where it does not.
     """
     scene = model.scene
-    column, particles = scene.column, scene.particles
     return BedFacts(
         name=scene.name,
         kind=model.kind,
-        size=(column.width, column.depth, column.height),
-        cells=column.cells,
-        front_back=column.front_back,
-        count=particles.count,
-        diameter=particles.diameter,
-        density=float(particles.material.density),
-        gravity=scene.gravity,
+        size=scene.box.size,
+        cells=scene.gas.cells if scene.gas else (1, 1, 1),
+        front_back=scene.front_back,
+        count=scene.group.number,
+        diameter=scene.group.diameter,
+        density=scene.density,
+        gravity=scene.g,
         gas_density=scene.gas.density if scene.gas else 0.0,
         jet=bool(scene.gas and scene.gas.jet),
         coupling=model.coupling,

@@ -43,7 +43,7 @@ def write_paraview(series: BedSeries, folder: Path) -> Path:
     if not len(series.t_frame):
         raise InputError(
             f"{series.facts.name}: no frame was recorded, so there is nothing for ParaView: expected "
-            "run.frames_every below run.end_time"
+            "run.frames_every below run.until_time"
         )
     (folder / "particles").mkdir(parents=True, exist_ok=True)
     has_gas = len(series.eps_g) > 0

@@ -20,8 +20,9 @@ from kncal.report import plots
 from kncal.report.animation import animate, has_mp4, snapshot
 from kncal.report.page import Figure
 from kncal.report.style import Album
+from kncal.scene.bodies import AXES, Particle, Wall
 from kncal.scene.model import PairContact
-from kncal.scene.scene import AXES, Particle, Scene, Wall
+from kncal.scene.scene import Scene
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -126,15 +127,15 @@ def _draw_signals(comparison: Comparison, album: Album) -> None:
     """
     data = comparison.runs
     runs = {d.model.kind: d.seen for d in data}
-    particles = comparison.reference.model.scene.particles
+    particles = comparison.reference.model.scene.group
     moving, gas = not particles.frozen, all(d.seen.get("eps_g") is not None for d in data)
-    several = moving and particles.count > 1
+    several = moving and particles.number > 1
     signals = {}
     if gas:
         signals["p_in"] = "Pressure at the inlet." + (
             " Two chaotic runs never follow each other: compare the means and their bands." if several else ""
         )
-    if particles.count and moving:
+    if particles.number and moving:
         signals["z_mean"] = (
             "Mean height of the particles: how far the bed is expanded, and whether it still drifts."
             if several
@@ -236,7 +237,7 @@ def _first_contact(data: RunData, pair: tuple[str, str]) -> _Lines | None:
     run_force = exact = exact_force = None
     if not _touches_others(data, pair, inside):
         # what the solver really applied: the recorded total force without the weight
-        index = [p.name for p in scene.particles].index(first.name)
+        index = [p.name for p in scene.spheres].index(first.name)
         weight = float(sphere_mass(first.material, first.radius)) * np.asarray(scene.gravity)
         normal = _normal(scene, first, second, motion.x[inside])
         run_force = (delta, ((motion.force[inside, index] - weight) * normal).sum(axis=1))
@@ -255,7 +256,7 @@ def _bodies(scene: Scene, pair: tuple[str, str]) -> tuple[Particle, Particle | W
 
 def _normal(scene: Scene, first: Particle, second: Particle | Wall, x: Array) -> Array:
     """Unit vector (frames, 3) from the second body towards the first; ``x`` are all positions [m]."""
-    names = [p.name for p in scene.particles]
+    names = [p.name for p in scene.spheres]
     i = names.index(first.name)
     if isinstance(second, Wall):
         axis = AXES.index(second.axis)
@@ -277,8 +278,8 @@ def _exact_overlap(scene: Scene, pair: tuple[str, str], exact: ExactMotion, time
     """Overlap [m] and its rate [m/s] of a pair at ``times`` of the exact motion."""
     x, v = exact.at(times)
     nothing = np.zeros_like(x)
-    radii = np.array([p.radius for p in scene.particles])
-    names = tuple(p.name for p in scene.particles)
+    radii = np.array([p.radius for p in scene.spheres])
+    names = tuple(p.name for p in scene.spheres)
     motion = Trajectory(names, np.arange(len(times)), times, x, v, nothing, nothing, radii)
     series = overlaps(scene, motion)[pair]
     return series.delta, series.delta_dot
@@ -303,11 +304,11 @@ def _motions(comparison: Comparison) -> tuple[str, dict[str, plots.Line]]:
     sides = data.trajectory.x.max(axis=0) - data.trajectory.x.min(axis=0)
     particle, axis = (int(i) for i in np.unravel_index(sides.argmax(), sides.shape))
     if wall is not None and AXES[axis] == wall.axis:
-        particle = [p.name for p in scene.particles].index(first.name)
+        particle = [p.name for p in scene.spheres].index(first.name)
         label = f"gap between {first.name} and {wall.name}"
     else:
         wall = None
-        label = f"displacement of {scene.particles[particle].name} along {AXES[axis]}"
+        label = f"displacement of {scene.spheres[particle].name} along {AXES[axis]}"
     lines = {}
     for kind, run in (("linear", comparison.run), ("hertz", comparison.reference)):
         motion = run.trajectory
@@ -317,6 +318,6 @@ def _motions(comparison: Comparison) -> tuple[str, dict[str, plots.Line]]:
         if wall is None:
             lines[kind] = (times, x - motion.x[0, particle, axis])
         else:
-            side = np.sign(scene.particles[particle].position[axis] - wall.position)
-            lines[kind] = (times, (x - wall.position) * side - scene.particles[particle].radius)
+            side = np.sign(scene.spheres[particle].position[axis] - wall.position)
+            lines[kind] = (times, (x - wall.position) * side - scene.spheres[particle].radius)
     return label, lines

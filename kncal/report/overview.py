@@ -14,7 +14,7 @@ from kncal.physics.calibration import calibrate, calibrate_all
 from kncal.physics.laws import LAWS
 from kncal.physics.material import Pair
 from kncal.physics.timestep import predict_error
-from kncal.scene.model import Model
+from kncal.scene.model import Plan
 from kncal.scene.needs import decide
 from kncal.scene.plan import pair_choice, pair_of
 
@@ -109,7 +109,7 @@ def kn_curves(
     }
 
 
-def error_table(models: Mapping[str, Model], steps: Sequence[float] = STEPS) -> pd.DataFrame:
+def error_table(models: Mapping[str, Plan], steps: Sequence[float] = STEPS) -> pd.DataFrame:
     """Return the predicted discretisation errors of the shortest contact of each model against steps per contact.
 
     One row per model and N: the time step, the number of steps for the whole run, and the worst relative error of e_n,
@@ -136,7 +136,7 @@ def error_table(models: Mapping[str, Model], steps: Sequence[float] = STEPS) -> 
     return pd.DataFrame(rows)
 
 
-def context_of(models: Mapping[str, Model]) -> Context:
+def context_of(models: Mapping[str, Plan]) -> Context:
     """Return the context of the runs of one scene by model; the calibration is that of its first pair."""
     scene = next(iter(models.values())).scene
     a, b = scene.body_pairs()[0]
@@ -144,7 +144,7 @@ def context_of(models: Mapping[str, Model]) -> Context:
     errors, needs = error_table(models), decide(scene).to_frame()
     if v_0 is None:
         return Context(errors=errors, needs=needs)
-    law, end, pair, options = scene.contact.law, scene.contact.end, pair_of(a, b), scene.contact.method_options
+    law, end, pair, options = scene.contact.law, scene.contact.end, pair_of(a, b), scene.contact.options
     methods = method_table(pair, v_0=v_0, e_n=e_n, law=law, end=end, options=options)
     curves = kn_curves(pair, v_0=v_0, e_n=e_n, law=law, end=end)
     return Context(methods=methods, kn_curves=curves, errors=errors, needs=needs)

@@ -8,9 +8,8 @@ from typing import Any
 from kncal.core.units import percent, quantity
 from kncal.physics.methods import METHODS
 from kncal.report.page import Table
-from kncal.scene.bed_scene import Gas
 from kncal.scene.model import Plan
-from kncal.scene.scene import ContactChoice
+from kncal.scene.scene import ContactChoice, Gas
 
 _DRAGS = {
     "ErgunWenYu": "Ergun below a void fraction of 0.8, Wen and Yu above (Gidaspow's combination)",
@@ -36,32 +35,31 @@ _ENDS = {
 }
 
 
-def run_settings(linear: Plan[Any], hertz: Plan[Any], costs: tuple[Any, Any]) -> Table:
+def run_settings(linear: Plan, hertz: Plan, costs: tuple[Any, Any]) -> Table:
     """Return how two coupled runs were made; ``costs`` say by which transport. Empty where nothing is coupled."""
     models = (linear, hertz)
     if not hertz.couplings:
         return Table((), ())
     scene = hertz.scene
-    column, particles, gas = scene.column, scene.particles, scene.gas
-    box = (column.width, column.depth, column.height)
-    edges = zip(box, column.cells, strict=True)
-    smallest = min(s / n for axis, (s, n) in enumerate(edges) if not (axis == 1 and column.front_back == "layer"))
+    box, particles, gas = scene.box, scene.group, scene.gas
     rows = [
         ("transport between the solvers", *(c.transport for c in costs)),
         ("coupling interval", *(quantity(m.coupling, "s") for m in models)),
         ("gas step", *(quantity(m.gas_step, "s") if gas is not None else "–" for m in models)),
-        _both("box (x, y, z)", " × ".join(quantity(s, "m") for s in box)),
-        _both("front and back", _DEPTHS.get(column.front_back, column.front_back)),
-        _both(
-            "gas cells (x, y, z)",
-            f"{' × '.join(map(str, column.cells))}; smallest edge {smallest / particles.diameter:.3g} diameters",
-        ),
-        _both("particles", f"{particles.count:,} of {quantity(particles.diameter, 'm')}, start: {particles.packing}"),
+        _both("box (x, y, z)", " × ".join(quantity(s, "m") for s in box.size)),
+        _both("front and back", _DEPTHS.get(scene.front_back, scene.front_back)),
+        _both("particles", f"{particles.number:,} of {quantity(particles.diameter, 'm')}, start: {particles.place}"),
     ]
-    if particles.count and not particles.frozen:
+    if particles.number and not particles.frozen:
         rows.insert(3, ("DEM steps per coupling", *(str(m.steps_per_coupling) for m in models)))
     if gas is not None:
+        edges = [size / n for size, n in zip(box.size, gas.cells, strict=True)]
+        smallest = min(edge for axis, edge in zip("xyz", edges, strict=True) if axis != scene.layer)
         rows += [
+            _both(
+                "gas cells (x, y, z)",
+                f"{' × '.join(map(str, gas.cells))}; smallest edge {smallest / particles.diameter:.3g} diameters",
+            ),
             _both("drag law", f"{gas.drag}: {_DRAGS.get(gas.drag, '')}".rstrip(": ")),
             _both("gas enters", _inlet(gas)),
             _both("parcels per particle", str(gas.parcels_per_particle)),
@@ -80,7 +78,7 @@ def _inlet(gas: Gas) -> str:
     return f"ramp over {len(gas.ramp)} points" if gas.ramp else f"{quantity(gas.U_0, 'm/s')} over the floor"
 
 
-def _contact(model: Plan[Any], pair: tuple[str, str]) -> str:
+def _contact(model: Plan, pair: tuple[str, str]) -> str:
     c = model.named.get(pair)
     if c is None:
         return "–"
@@ -88,7 +86,7 @@ def _contact(model: Plan[Any], pair: tuple[str, str]) -> str:
     return f"{c.law}: {stiffness}, e_n = {c.e_n:g}, friction {c.friction:g}, t_c = {quantity(c.t_c, 's', 3)}"
 
 
-def conventions(linear: Plan[Any], hertz: Plan[Any], shown: Set[str]) -> tuple[str, ...]:
+def conventions(linear: Plan, hertz: Plan, shown: Set[str]) -> tuple[str, ...]:
     """Return what the numbers mean; of the metrics only those in ``shown``."""
     scene = hertz.scene
     texts = [_MODEL_B] if getattr(scene, "gas", None) is not None else []

@@ -15,7 +15,6 @@ from kncal.observe.run_data import RunData
 from kncal.physics.statistics import Interval
 from kncal.report.page import Section, Table
 from kncal.report.style import Album, dress, model_name, new_axes
-from kncal.scene.bed_scene import PARTICLES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -47,8 +46,8 @@ def speeds_section(runs: tuple[RunData, ...], album: Album) -> Section:
             )
             continue
         speeds = bed_impact_speeds(data.series, data.seen.begin, data.seen.window.doubt)
-        for kind in KINDS_OF_IMPACTS:
-            v_0 = data.model.between(PARTICLES, kind).v_0
+        for kind, pair in KINDS_OF_IMPACTS.items():
+            v_0 = data.model.contacts[pair].v_0
             rows.append(_row(name, speeds[kind], v_0))
             notes |= dict.fromkeys(_doubts(name, speeds[kind]))
         if any(found.count for found in speeds.values()):

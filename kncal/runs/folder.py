@@ -33,9 +33,8 @@ from kncal.engines.base import FRAMES, Profile
 from kncal.record.outcome import RunResult
 from kncal.record.series import PIECES, SERIES
 from kncal.runs.records import ATTEMPT, MANIFEST, RESULT, STARTED, CaseManifest, ModelManifest, Result, Started
-from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import MOST_BYTES, dump_case, load_case
-from kncal.scene.model import KINDS, BedModel, Model
+from kncal.scene.model import KINDS, Plan
 from kncal.scene.scene import Scene
 
 CASE, REPORT = "case.toml", "report"
@@ -49,7 +48,7 @@ OURS = (*KINDS, CASE, MANIFEST, REPORT, ROW)
 
 @contextmanager
 def case_folder(
-    scene: Scene | BedScene, out: Path, *, keep: bool = False, tell: Callable[[str], None] | None = None
+    scene: Scene, out: Path, *, keep: bool = False, tell: Callable[[str], None] | None = None
 ) -> Iterator[int]:
     """Make ``out`` ready for ``scene`` and hold it (see `kncal.core.lock`): gives the lock's descriptor for the solver.
 
@@ -124,7 +123,7 @@ def _left_behind(path: Path) -> bool:
     return path.name == LOCK or half_written or bool(kept)
 
 
-def _same_case(scene: Scene | BedScene, out: Path) -> bool:
+def _same_case(scene: Scene, out: Path) -> bool:
     text = dump_case(scene).encode()
     try:
         return read_limited(out / CASE, MOST_BYTES, "a case file") == text
@@ -190,7 +189,7 @@ def refuse_links(out: Path) -> None:
 
 
 def model_manifest(
-    model: Model | BedModel, folder: Path, profile: Profile, command: Sequence[str], ranks: int = 1
+    model: Plan, folder: Path, profile: Profile, command: Sequence[str], ranks: int = 1
 ) -> dict[str, Any]:
     """Return what ``manifest.json`` of one model's folder holds: what was rendered, for which solver, by whom."""
     found = (p for p in sorted(folder.rglob("*")) if p.is_file() and p.name != MANIFEST)
@@ -292,7 +291,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     return data
 
 
-def read_model_folder(folder: Path) -> tuple[Scene | BedScene, str, str]:
+def read_model_folder(folder: Path) -> tuple[Scene, str, str]:
     """Return (scene, kind, engine name) of one model's folder, e.g. ``runs/wall_impact/hertz``.
 
     Raises

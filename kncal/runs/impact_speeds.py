@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from kncal.core.errors import InputError
 from kncal.observe.averages import window_start
 from kncal.observe.impact_speeds import (
+    KINDS_OF_IMPACTS,
     Enduring,
     ImpactSpeeds,
     StiffnessAt,
@@ -21,7 +22,6 @@ from kncal.observe.impact_speeds import (
 from kncal.observe.run_data import RunData
 from kncal.physics.material import Pair
 from kncal.runs.workflow import load
-from kncal.scene.bed_scene import PARTICLES, BedScene
 from kncal.scene.model import PairContact
 from kncal.scene.pair_contact import PairNumbers
 from kncal.scene.plan import pair_choice, pair_of, species_choices
@@ -58,7 +58,7 @@ class RunSpeeds:
     enduring : of a bed's contacts, or None
     """
 
-    scene: Scene | BedScene
+    scene: Scene
     model: str
     begin: float
     end: float
@@ -117,13 +117,13 @@ def _of_bed(data: RunData) -> RunSpeeds:
     window = window_start(series, scene.run.discard)
     speeds = bed_impact_speeds(series, window.begin, window.doubt)
     pairs = {
-        b.name: MetPair(
-            names=(a.name, b.name),
-            both=pair_of(a, b),
-            numbers=pair_choice(scene, a, b),
-            contact=contact,
+        kind: MetPair(
+            names=species.names(pair),
+            both=pair_of(*species.bodies(pair)),
+            numbers=pair_choice(scene, *species.bodies(pair)),
+            contact=data.model.contacts[pair],
         )
-        for (a, b), contact in ((species.bodies(pair), contact) for pair, contact in data.model.contacts.items())
+        for kind, pair in KINDS_OF_IMPACTS.items()
     }
     return RunSpeeds(
         scene=scene,
@@ -132,7 +132,7 @@ def _of_bed(data: RunData) -> RunSpeeds:
         end=float(series.t[-1]),
         speeds=speeds,
         pairs=pairs,
-        enduring=enduring(series, window.begin, pairs[PARTICLES].contact.t_c),
+        enduring=enduring(series, window.begin, pairs["particles"].contact.t_c),
     )
 
 

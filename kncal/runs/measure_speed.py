@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from kncal.core.errors import CaseFileError, RunError
 from kncal.core.files import write_json
@@ -21,15 +21,12 @@ from kncal.report.speeds import plot_impact_speeds
 from kncal.runs.folder import MEASURING, refuse_foreign
 from kncal.runs.impact_speeds import RunSpeeds, run_speeds
 from kncal.runs.workflow import require_completed, run_case
-from kncal.scene.bed_scene import BedScene
 from kncal.scene.pair_contact import calibration_for
 from kncal.scene.plan import first_impact_speed
 from kncal.scene.scene import MeasuredSpeed, Scene
 
 RECORD, PICTURE = "measured.json", "impact_speeds.png"
 _LONGEST_TITLE = 300
-
-_S = TypeVar("_S", bound=Scene | BedScene)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,14 +56,14 @@ class Round:
 
 
 def resolve_measured(
-    scene: _S,
+    scene: Scene,
     out: Path,
     *,
     engine: str = "liggghts",
     transport: str = "auto",
     timeout: float | None = None,
     tell: Tell | None = None,
-) -> _S:
+) -> Scene:
     """Return the scene with a number for the impact speed that it asks to be measured; any other scene as it is.
 
     Of a bed the impacts of two particles count (of a single particle those with walls), of single contacts
@@ -74,7 +71,7 @@ def resolve_measured(
 
     Parameters
     ----------
-    scene : Scene or BedScene
+    scene : Scene or Scene
     out : run folder of the case; the rounds are in its folder ``measuring``
     engine : of single contacts; transport : of beds
     timeout : wall-clock limit of each round [s]
@@ -119,19 +116,18 @@ def resolve_measured(
     )
 
 
-def _trial(scene: _S, v_0: float, time: float | None) -> _S:
+def _trial(scene: Scene, v_0: float, time: float | None) -> Scene:
     """Return the scene calibrated at ``v_0`` [m/s], which ends at ``time`` [s] (None: as it did)."""
-    contact = replace(scene.contact, v_0=v_0, measured=None)
-    if isinstance(scene, BedScene):
-        end = scene.run.end_time if time is None else time
-        discard = scene.run.discard
-        kept = discard if discard is not None and discard < 0.5 * end else None
-        return replace(scene, contact=contact, run=replace(scene.run, end_time=end, discard=kept, frames_every=end))
-    run = scene.run if time is None else replace(scene.run, until_time=time, until_bounces=None)
-    return replace(scene, contact=contact, run=run)
+    run, end = scene.run, scene.run.until_time if time is None else time
+    if time is not None:
+        run = replace(run, until_time=time, until_bounces=None)
+    if scene.coupled and end is not None:
+        kept = run.discard if run.discard is not None and run.discard < 0.5 * end else None
+        run = replace(run, discard=kept, frames_every=end)
+    return replace(scene, contact=replace(scene.contact, v_0=v_0, measured=None), run=run)
 
 
-def _start(scene: Scene | BedScene, asked: MeasuredSpeed) -> float:
+def _start(scene: Scene, asked: MeasuredSpeed) -> float:
     if asked.start is not None:
         return asked.start
     speed = first_impact_speed(scene)
@@ -143,9 +139,7 @@ def _start(scene: Scene | BedScene, asked: MeasuredSpeed) -> float:
     return _rounded(speed)
 
 
-def _judge(
-    scene: Scene | BedScene, asked: MeasuredSpeed, number: int, v_0: float, seen: RunSpeeds, folder: Path
-) -> Round:
+def _judge(scene: Scene, asked: MeasuredSpeed, number: int, v_0: float, seen: RunSpeeds, folder: Path) -> Round:
     if not seen.speeds[seen.main].count:
         raise RunError(
             f"{scene.name}: nothing met anything in round {number} of measuring the impact speed ({folder}): expected "
@@ -187,7 +181,7 @@ def _told(last: Round, main: ImpactSpeeds, asked: MeasuredSpeed) -> str:
     )
 
 
-def _record(scene: Scene | BedScene, asked: MeasuredSpeed, rounds: list[Round], seen: RunSpeeds, folder: Path) -> None:
+def _record(scene: Scene, asked: MeasuredSpeed, rounds: list[Round], seen: RunSpeeds, folder: Path) -> None:
     """Write ``measured.json``, and a picture of the last round."""
     data: dict[str, Any] = {
         "case": scene.name,
@@ -201,7 +195,7 @@ def _record(scene: Scene | BedScene, asked: MeasuredSpeed, rounds: list[Round], 
     plot_impact_speeds(seen.speeds, folder / PICTURE, f"{scene.name}: impact speeds of round {len(rounds)}")
 
 
-def _resolved(scene: _S, v_0: float, rounds: int) -> _S:
+def _resolved(scene: Scene, v_0: float, rounds: int) -> Scene:
     told = f"(contact.v_0 = {v_0:.4g} m/s, measured in {rounds} round{'s' if rounds > 1 else ''})"
     title = f"{scene.title[: _LONGEST_TITLE - len(told) - 1]} {told}".strip()
     return replace(scene, contact=replace(scene.contact, v_0=v_0, measured=None), title=title)

@@ -13,15 +13,12 @@ from kncal.observe.run_data import RunData
 from kncal.record.outcome import RunResult
 from kncal.record.series import PIECES, read_series
 from kncal.runs.records import RESULT
-from kncal.scene.bed_scene import BedScene
 from kncal.scene.limits import findings_of
 from kncal.scene.plan import plan
 from kncal.scene.scene import Scene
 
 
-def check_options(
-    scene: Scene | BedScene, *, engine: str = "liggghts", transport: str = "auto", repeat: int = 1
-) -> None:
+def check_options(scene: Scene, *, engine: str = "liggghts", transport: str = "auto", repeat: int = 1) -> None:
     """Refuse an option that this scene would ignore.
 
     Raises
@@ -29,7 +26,7 @@ def check_options(
     InputError
         Naming it.
     """
-    is_bed = isinstance(scene, BedScene)
+    is_bed = scene.coupled
     given = {"engine": engine != "liggghts", "repeat": repeat != 1} if is_bed else {"transport": transport != "auto"}
     for name, is_given in given.items():
         if is_given:
@@ -37,7 +34,7 @@ def check_options(
             raise InputError(f"--{name} has no meaning for {what}: leave it out")
 
 
-def plan_checked(scene: Scene | BedScene, kinds: Iterable[str]) -> Mapping[str, Any]:
+def plan_checked(scene: Scene, kinds: Iterable[str]) -> Mapping[str, Any]:
     """Return the plans of a scene by kind, refused where a limit says so (the rest: `kncal.scene.limits.warnings_of`).
 
     Raises
@@ -45,7 +42,7 @@ def plan_checked(scene: Scene | BedScene, kinds: Iterable[str]) -> Mapping[str, 
     CaseFileError
         If a limit refuses the run, with every reason.
     """
-    if not isinstance(scene, BedScene):
+    if not scene.coupled:
         return plan(scene, tuple(kinds))
     models = plan(scene, tuple(kinds))
     refused = dict.fromkeys(f.message for _, f in findings_of(models.values()) if f.level == "refuse")
@@ -54,7 +51,7 @@ def plan_checked(scene: Scene | BedScene, kinds: Iterable[str]) -> Mapping[str, 
     return models
 
 
-def read_run(scene: Scene | BedScene, result: RunResult) -> RunData:
+def read_run(scene: Scene, result: RunResult) -> RunData:
     """Read what a completed run of ``scene`` left in its folder.
 
     Raises

@@ -39,7 +39,6 @@ from kncal.runs.records import MANIFEST, RESULT
 from kncal.runs.resume import Earlier, take_up
 from kncal.runs.solving import check_options, plan_checked, read_run
 from kncal.runs.started import started
-from kncal.scene.bed_scene import BedScene
 from kncal.scene.limits import no_contact, warnings_of
 from kncal.scene.model import KINDS
 from kncal.scene.scene import Scene
@@ -61,7 +60,7 @@ class _Rendered:
 
 
 def render_case(
-    scene: Scene | BedScene,
+    scene: Scene,
     engine: Engine,
     out: Path,
     kinds: Iterable[str] = KINDS,
@@ -91,7 +90,7 @@ def render_case(
 
 @contextmanager
 def _rendered(
-    scene: Scene | BedScene,
+    scene: Scene,
     engine: Engine,
     out: Path,
     kinds: Iterable[str],
@@ -127,7 +126,7 @@ def _rendered(
 
 
 def run_case(
-    scene: Scene | BedScene,
+    scene: Scene,
     engine: Engine,
     out: Path,
     kinds: Iterable[str] = KINDS,

@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
+from kncal.scene.bodies import AXES, Particle, Wall
 from kncal.scene.flight import pair_touch_time, wall_touch_time
-from kncal.scene.scene import AXES, Particle, Scene, Wall
+from kncal.scene.scene import Scene
 
 
 def initial_overlap(a: Particle, b: Particle | Wall) -> float:

@@ -9,9 +9,9 @@ import numpy as np
 
 from kncal.core.checks import Array
 from kncal.physics.fluidization import expanded_voidage
-from kncal.scene.bed_scene import BedScene, Gas
 from kncal.scene.finding import Finding
 from kncal.scene.load import largest_superficial, settled_height
+from kncal.scene.scene import Gas, Scene
 
 #: Smallest gas cell edge over particle diameter: void fractions mean nothing below the first, are coarse below the
 #: second.
@@ -23,17 +23,17 @@ CELL_LARGE, CELL_SHARE = 8.0, 0.25
 FEWEST = 50
 
 
-def places(scene: BedScene, x: Array) -> Iterator[Finding]:
+def places(scene: Scene, x: Array) -> Iterator[Finding]:
     """Find a packing that is not in the box, or not one."""
-    if x.ndim != 2 or x.shape != (scene.particles.count, 3) or not np.isfinite(x).all():
+    if x.ndim != 2 or x.shape != (scene.group.number, 3) or not np.isfinite(x).all():
         yield Finding(
             "positions",
             "refuse",
-            f"positions of shape {x.shape}: expected ({scene.particles.count}, 3), finite",
+            f"positions of shape {x.shape}: expected ({scene.group.number}, 3), finite",
         )
         return
-    column = scene.column
-    outside = ((x < 0.0) | (x > (column.width, column.depth, column.height))).any(axis=1)
+    box = scene.box
+    outside = ((x < 0.0) | (x > box.size)).any(axis=1)
     if outside.any():
         k = int(np.flatnonzero(outside)[0])
         yield Finding(
@@ -44,30 +44,30 @@ def places(scene: BedScene, x: Array) -> Iterator[Finding]:
         )
 
 
-def depth(scene: BedScene) -> Iterator[Finding]:
+def depth(scene: Scene) -> Iterator[Finding]:
     """Find a depth in which particles meet their own images, or rub on both walls."""
-    column, d = scene.column, scene.particles.diameter
-    if scene.column.front_back == "periodic" and scene.particles.count and column.depth < 3.0 * d:
+    box, d = scene.box, scene.group.diameter
+    if scene.front_back == "periodic" and scene.group.number and box.depth < 3.0 * d:
         yield Finding(
             "depth-periodic",
             "refuse",
-            f"periodic depth of {column.depth / d:.3g} diameters: a particle would meet its own images: expected at "
+            f"periodic depth of {box.depth / d:.3g} diameters: a particle would meet its own images: expected at "
             "least 3; deepen the column or use a layer",
         )
-    if column.front_back == "walls" and scene.particles.count > 1 and column.depth < 1.5 * d:
+    if scene.front_back == "walls" and scene.group.number > 1 and box.depth < 1.5 * d:
         yield Finding(
             "depth-one-layer",
             "warn",
-            f"walls {column.depth / d:.3g} diameters apart hold a single layer that rubs on both of them: expected "
-            'front_back = "layer" for a two-dimensional bed, or a deeper column',
+            f"walls {box.depth / d:.3g} diameters apart hold a single layer that rubs on both of them: expected "
+            'layer = "y" for a two-dimensional bed, or a deeper box',
         )
 
 
-def jet_faces(scene: BedScene) -> Iterator[Finding]:
+def jet_faces(scene: Scene, gas: Gas) -> Iterator[Finding]:
     """Find a jet whose ends are not on faces of gas cells."""
-    if scene.gas is None or (jet := scene.gas.jet) is None:
+    if (jet := gas.jet) is None:
         return
-    h = scene.column.width / scene.column.cells[0]
+    h = scene.box.width / gas.cells[0]
     for name, x in (("x_low", jet.x_low), ("x_high", jet.x_high)):
         if abs(x / h - round(x / h)) > 1e-6:
             near = round(x / h) * h
@@ -79,14 +79,13 @@ def jet_faces(scene: BedScene) -> Iterator[Finding]:
             )
 
 
-def small_cells(scene: BedScene) -> Iterator[Finding]:
+def small_cells(scene: Scene, gas: Gas) -> Iterator[Finding]:
     """Find gas cells too small for the particles."""
-    column, d = scene.column, scene.particles.diameter
-    if not scene.particles.count:
+    d = scene.group.diameter
+    if not scene.group.number:
         return
-    sizes = dict(zip("xyz", (column.width, column.depth, column.height), strict=True))
-    edges = {a: size / n for (a, size), n in zip(sizes.items(), column.cells, strict=True)}
-    if column.front_back == "layer":
+    edges = {axis: size / n for axis, size, n in zip("xyz", scene.box.size, gas.cells, strict=True)}
+    if scene.front_back == "layer":
         del edges["y"]  # the layer's only cell in depth is as deep as the case says
     axis = min(edges, key=edges.__getitem__)
     ratio = edges[axis] / d
@@ -95,43 +94,43 @@ def small_cells(scene: BedScene) -> Iterator[Finding]:
             "cell-size",
             "refuse",
             f"gas cells are {ratio:.3g} particle diameters in {axis}, smaller than a particle: the void fraction has "
-            f"no meaning there: expected at least {CELL_SMALLEST:g} (better {CELL_COARSE:g}); use fewer column.cells",
+            f"no meaning there: expected at least {CELL_SMALLEST:g} (better {CELL_COARSE:g}); use fewer gas.cells",
         )
-    elif ratio < CELL_COARSE * (1.0 - 1e-9) and scene.gas is not None and scene.gas.parcels_per_particle == 1:
+    elif ratio < CELL_COARSE * (1.0 - 1e-9) and gas.parcels_per_particle == 1:
         yield Finding(
             "cell-size",
             "warn",
             f"gas cells are {ratio:.3g} particle diameters in {axis}: a particle's whole volume goes to the cell of "
-            f"its centre, which is coarse below {CELL_COARSE:g}; use fewer column.cells or parcels_per_particle = 8",
+            f"its centre, which is coarse below {CELL_COARSE:g}; use fewer gas.cells or parcels_per_particle = 8",
         )
 
 
-def coarse_cells(scene: BedScene, eps: float) -> Iterator[Finding]:
+def coarse_cells(scene: Scene, gas: Gas, eps: float) -> Iterator[Finding]:
     """Find gas cells too large for the bed.
 
     Parameters
     ----------
     eps : void fraction of the packing [-]
     """
-    column, p = scene.column, scene.particles
-    if p.count < FEWEST:
+    box, p = scene.box, scene.group
+    if p.number < FEWEST:
         return
     d, height = p.diameter, settled_height(scene, eps)
     edges = {
         axis: size / n
-        for axis, size, n in zip("xyz", (column.width, column.depth, column.height), column.cells, strict=True)
-        if axis != "y" or column.front_back != "layer"  # a layer's only cell in depth is as deep as the case says
+        for axis, size, n in zip("xyz", box.size, gas.cells, strict=True)
+        if axis != "y" or scene.front_back != "layer"  # a layer's only cell in depth is as deep as the case says
     }
-    wide = "y" if "y" in edges and column.depth > column.width else "x"
-    side = column.depth if wide == "y" else column.width
+    wide = "y" if "y" in edges and box.depth > box.width else "x"
+    side = box.depth if wide == "y" else box.width
     fitting = math.floor(side / (CELL_COARSE * d) * (1.0 + 1e-9))
-    if not p.frozen and column.cells["xyz".index(wide)] == 1 and fitting >= 2:
+    if not p.frozen and gas.cells["xyz".index(wide)] == 1 and fitting >= 2:
         yield Finding(
             "cell-single",
             "refuse",
             f"one gas cell over the whole {'depth' if wide == 'y' else 'width'} of {side / d:.3g} particle diameters: "
             "a bed that moves has gas that rises here and particles that sink there, which one cell cannot hold: "
-            f"expected column.cells of at most {CELL_LARGE:g} diameters, {fitting} in {wide}",
+            f"expected gas.cells of at most {CELL_LARGE:g} diameters, {fitting} in {wide}",
         )
         return
     large = {axis: f"{edge / d:.3g} particle diameters" for axis, edge in edges.items() if edge > CELL_LARGE * d}
@@ -144,14 +143,14 @@ def coarse_cells(scene: BedScene, eps: float) -> Iterator[Finding]:
             "cell-coarse",
             "warn",
             f"gas cells are {size} in {axis}: they average over what drives the bed (bubbles, its surface): expected "
-            f"at most {CELL_LARGE:g} diameters and {CELL_SHARE:g} of the bed; use more column.cells, or a larger bed",
+            f"at most {CELL_LARGE:g} diameters and {CELL_SHARE:g} of the bed; use more gas.cells, or a larger bed",
         )
 
 
-def room(scene: BedScene, gas: Gas, eps: float) -> Iterator[Finding]:
+def room(scene: Scene, gas: Gas, eps: float) -> Iterator[Finding]:
     """Find a column too low for the bed and its expansion."""
-    p, height = scene.particles, scene.column.height
-    if p.count == 1:
+    p, height = scene.group, scene.box.height
+    if p.number == 1:
         return
     rest = settled_height(scene, eps)
     if rest > height:
@@ -165,7 +164,7 @@ def room(scene: BedScene, gas: Gas, eps: float) -> Iterator[Finding]:
     speed = largest_superficial(scene)
     if speed == 0.0:
         return
-    hovering = expanded_voidage(speed, p.diameter, float(p.material.density), gas.density, gas.viscosity, scene.gravity)
+    hovering = expanded_voidage(speed, p.diameter, scene.density, gas.density, gas.viscosity, scene.g)
     expanded = rest * (1.0 - eps) / (1.0 - hovering) if hovering < 1.0 else math.inf
     expanded = max(expanded, rest)
     # Bubbling beds throw particles to about twice their mean height; the lid must be above that.
@@ -174,6 +173,6 @@ def room(scene: BedScene, gas: Gas, eps: float) -> Iterator[Finding]:
             "column-low",
             "warn",
             f"the bed expands to about {expanded:.3g} m on average (homogeneous, {rest:.3g} m at rest) and throws "
-            f"particles to about twice that, the column is {height:.3g} m: particles may hit the lid; expected more "
-            "column.height",
+            f"particles to about twice that, the column is {height:.3g} m: particles may hit the lid; expected a "
+            "higher box",
         )

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Collection, Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from dataclasses import is_dataclass
+from typing import TYPE_CHECKING, Any, get_args, get_origin
 
 from kncal.core.checks import nearest, short
 from kncal.core.errors import CaseFileError
-from kncal.scene.case_schema import CaseTable, Root, description, table_at
+from kncal.physics.laws import LAWS
+from kncal.physics.timestep import USUAL_STEPS, instead_of_zero
+from kncal.scene.scene import Scene
+from kncal.scene.walls import WALLS
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
@@ -21,38 +26,94 @@ Fault = tuple[KeyPath, str]
 
 
 BARE = re.compile(r"[A-Za-z0-9_-]+")
-_PART = r"""(?:[A-Za-z0-9_-]+|"[^"\n]*"|'[^'\n]*')"""
+_PART = r"""(?:[A-Za-z0-9_-]+|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*')"""
 _KEYS = rf"{_PART}(?:\s*\.\s*{_PART})*"
 _LINE = re.compile(rf"\s*(?:\[\[\s*(?P<many>{_KEYS})\s*\]\]|\[\s*(?P<one>{_KEYS})\s*\]|(?P<key>{_KEYS})\s*=)")
 
 
-def fault(error: ErrorDetails, tables: Mapping[str, Any], root: type[Root] = CaseTable) -> Fault:
-    """Turn one of pydantic's findings in ``tables``, of a file of the form ``root``, into (path, message)."""
-    path = tuple(part for part in error["loc"] if part not in ("float", "str", "function-after[_option(), float]"))
-    kind, meaning = error["type"], description(path, root)
+def fault(error: ErrorDetails, tables: Mapping[str, Any]) -> Fault:
+    """Turn one of pydantic's findings in ``tables`` into (path, message)."""
+    path, known = _without_marks(error["loc"]), table_at(error["loc"])
+    return _about_keys(error, path, known) or _about_value(error, path, known, tables)
+
+
+def _about_keys(error: ErrorDetails, path: KeyPath, known: Mapping[str, str]) -> Fault | None:
+    """The fault of keys that are missing, unknown, or no table; None for that of a value."""
+    kind, last = error["type"], path[-1]
+    if kind == "unexpected_keyword_argument":
+        return path, f"{_shown(path)}: unknown key: {_instead(str(last), [key for key in known if key != 'name'])}"
+    if kind == "missing" and isinstance(last, str):
+        return path, f"{_shown(path)}: missing: expected {_meaning(path, known)}"
+    if kind == "dataclass_type":
+        inside = ", ".join(table_at((*error["loc"], "")))
+        return path, f"{_shown(path)} = {short(error['input'])}: expected a table with {inside}"
+    if kind == "union_tag_invalid":
+        path, tag = (*path, "shape"), str(error["ctx"]["tag"])
+        return path, f"{_shown(path)} = {short(tag)}: {_instead(tag, list(WALLS))}"
+    if last == "[key]":
+        return path[:-1], f"{_shown(path[:-2])}: key {short(path[-2])}: {_cause(error)}"
+    return None
+
+
+def _about_value(error: ErrorDetails, path: KeyPath, known: Mapping[str, str], tables: Mapping[str, Any]) -> Fault:
+    kind, meaning = error["type"], _meaning(path, known)
     value = f"{_shown(path)} = {short(error['input'])}"
     about = f" for the {meaning}" if meaning else ""
-    if kind == "extra_forbidden":
-        return path, f"{_shown(path)}: unknown key: {_instead(str(path[-1]), table_at(path, root).model_fields)}"
-    if kind == "missing":
-        return path, f"{_shown(path)}: missing: expected {meaning}"
-    if path and path[-1] == "[key]":
-        return path[:-1], f"{_shown(path[:-2])}: key {short(path[-2])}: {_cause(error)}"
+    if kind == "missing":  # a number of a vector
+        given = len(error["input"])
+        return path[:-1], f"{_shown(path[:-1])} = {short(error['input'])}: {given} entries{about}: too few"
     if kind in _LENGTH:
         # how many are too many says enough
         about = about if kind == "too_short" else ""
-        return path, f"{value}: {error['ctx']['actual_length']} entries{about}: {_LENGTH[kind].format(**error['ctx'])}"
+        return path, f"{value}: {len(error['input'])} entries{about}: {_LENGTH[kind].format(**error['ctx'])}"
     if kind in _EXPECTED:
         return path, f"{value}: expected {_EXPECTED[kind]}{about}"
     remedy = f"; {_no_rebound(tables)}" if path and path[-1] == "e_n" and error["input"] == 0 else ""
     return path, f"{value}: {_cause(error)}{remedy}"
 
 
+def table_at(path: KeyPath) -> dict[str, str]:
+    """Return the keys of the table that holds the last key of ``path``, and what each means.
+
+    ``("walls", "floor", "plane", "axis")`` -> those of a plane; "plane" is pydantic's mark for it.
+    """
+    while path and isinstance(path[-1], int):  # a number of a vector
+        path = path[:-1]
+    tables: list[Any] = [Scene]
+    named = False  # whether the next part is a name that the user gave
+    for part in path[:-1]:
+        if named or isinstance(part, int):
+            named = False
+        elif part in WALLS and len(tables) > 1:
+            tables = [WALLS[part].table]
+        else:
+            annotations = [t.__pydantic_fields__[part].annotation for t in tables if part in t.__pydantic_fields__]
+            named = any(get_origin(a) is dict for a in annotations)
+            tables = [inner for a in annotations for inner in _tables(a)]
+    return {key: field.description or "" for t in tables for key, field in t.__pydantic_fields__.items()}
+
+
+def _tables(annotation: Any) -> list[Any]:
+    """The classes of a scene inside an annotation."""
+    if isinstance(annotation, type) and is_dataclass(annotation):
+        return [annotation]
+    return [inner for part in get_args(annotation) for inner in _tables(part)]
+
+
+def _without_marks(path: KeyPath) -> KeyPath:
+    """A path without what pydantic adds to it for the kinds of a union."""
+    is_wall = path[:1] == ("walls",) and len(path) > 2 and path[2] in WALLS
+    path = (*path[:2], *path[3:]) if is_wall else path
+    return path[:3] if path[:2] == ("contact", "options") else path
+
+
+def _meaning(path: KeyPath, known: Mapping[str, str]) -> str:
+    last = next((part for part in reversed(path) if isinstance(part, str)), "")
+    return known.get(last, "")
+
+
 def _no_rebound(tables: Mapping[str, Any]) -> str:
     """What to do about e_n = 0 at the step of the case, as far as what it says of it is valid."""
-    from kncal.physics.laws import LAWS
-    from kncal.physics.timestep import USUAL_STEPS, instead_of_zero
-
     contact, run = (t if isinstance(t := tables.get(name), Mapping) else {} for name in ("contact", "run"))
     law, end, n = contact.get("law", "tsuji"), contact.get("end", "overlap"), run.get("steps_per_contact", USUAL_STEPS)
     usable = isinstance(n, int | float) and 4.0 <= n <= 1e6
@@ -71,6 +132,8 @@ _EXPECTED = {
     "string_type": "text in quotes",
     "bool_type": "true or false",
     "list_type": "a list",
+    "tuple_type": "a list",
+    "dict_type": "a table",
 }
 
 
@@ -129,7 +192,7 @@ def _line_numbers(text: str) -> dict[KeyPath, int]:
         match = _LINE.match(line)
         if match is None:
             continue
-        keys = [part.strip("\"'") for part in re.findall(_PART, match["many"] or match["one"] or match["key"])]
+        keys = _parts_of(match["many"] or match["one"] or match["key"])
         path: KeyPath = table if match["key"] else ()
         for i, key in enumerate(keys):
             path = (*path, key)
@@ -141,3 +204,16 @@ def _line_numbers(text: str) -> dict[KeyPath, int]:
         if not match["key"]:
             table = path
     return found
+
+
+def _parts_of(key: str) -> list[str]:
+    """``walls."a b".axis`` -> its parts; none if it is no TOML key after all."""
+    try:
+        inside: Any = tomllib.loads(f"{key} = 0")
+    except tomllib.TOMLDecodeError:
+        return []
+    parts = []
+    while isinstance(inside, dict):
+        ((part, inside),) = inside.items()
+        parts.append(part)
+    return parts

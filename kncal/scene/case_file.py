@@ -5,47 +5,31 @@ A refusal names the file, the line where it can, the key, the value and what is 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
+from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
 
 from kncal.core.checks import short
 from kncal.core.errors import CaseFileError, InputError
-from kncal.scene.bed_scene import BedScene
-from kncal.scene.case_text import (
-    CASE,
-    MOST_BYTES,
-    contact_tables,
-    entries,
-    find_case,
-    is_bed,
-    material_tables,
-    parse_toml,
-    read_case,
-    settings,
-    shipped_cases,
-    table,
-)
-from kncal.scene.scene import Particle, RunControl, Scene, Wall
+from kncal.scene.case_checks import problems
+from kncal.scene.case_errors import Fault, fault, placed, refusal
+from kncal.scene.case_text import CASE, MOST_BYTES, dump, find_case, parse_toml, read_case, shipped_cases
+from kncal.scene.overrides import overridden, parse_overrides
+from kncal.scene.scene import Scene
+from kncal.scene.values import NAME, NAME_EXPECTED
 
-if TYPE_CHECKING:
-    from kncal.scene.case_schema import CaseTable
+__all__ = ["CASE", "MOST_BYTES", "dump_case", "find_case", "load_case", "parse_case", "shipped_cases"]
 
-__all__ = [
-    "CASE",
-    "MOST_BYTES",
-    "dump_case",
-    "find_case",
-    "load_case",
-    "load_scene",
-    "parse_case",
-    "shipped_cases",
-]
+#: What ``contact.v_0`` says where the speed is to be measured.
+MEASURED = "measured"
 
 
-def load_case(case: str | Path, *, name: str | None = None, overrides: Sequence[str] = ()) -> Scene | BedScene:
-    """Read a case file: a `BedScene` if it has a ``[column]``, else a `Scene`.
+def load_case(case: str | Path, *, name: str | None = None, overrides: Sequence[str] = ()) -> Scene:
+    """Read a case file.
 
     Parameters
     ----------
@@ -54,7 +38,7 @@ def load_case(case: str | Path, *, name: str | None = None, overrides: Sequence[
     name : str, optional
         The scene's name; without it, the folder's name (for a file not called case.toml: its stem).
     overrides : sequence of str
-        ``KEY=VALUE``, each in place of what the file says (see `kncal.scene.overrides`), e.g. ``run.end_time=0.2``.
+        ``KEY=VALUE``, each in place of what the file says (see `kncal.scene.overrides`), e.g. ``run.until_time=0.2``.
 
     Raises
     ------
@@ -65,34 +49,14 @@ def load_case(case: str | Path, *, name: str | None = None, overrides: Sequence[
     """
     text, name, where = read_case(case, name)
     tables = parse_toml(text, where)
-    from kncal.scene.overrides import overridden, parse_overrides
-
     changes = parse_overrides(overrides)
     if not changes:
-        return _parse(text, tables, name, where)
+        return parse_case(text, name=name, where=where, tables=tables)
+    refuse_old(tables, where)
     try:
-        return _parse(text, overridden(tables, changes), name, where)
+        return parse_case(text, name=name, where=where, tables=overridden(tables, changes))
     except CaseFileError as error:
         raise CaseFileError(f"{error}\n(with {', '.join(map(str, changes))} from outside the file)") from error
-
-
-def _parse(text: str, tables: Mapping[str, Any], name: str, where: str) -> Scene | BedScene:
-    if is_bed(tables):
-        from kncal.scene.bed_case_file import parse_bed
-
-        return parse_bed(text, name=name, where=where, tables=tables)
-    return parse_case(text, name=name, where=where, tables=tables)
-
-
-def load_scene(case: str | Path, *, name: str | None = None, overrides: Sequence[str] = ()) -> Scene:
-    """Read a case of single contacts, as `load_case` does; a bed is refused with `CaseFileError`."""
-    scene = load_case(case, name=name, overrides=overrides)
-    if isinstance(scene, BedScene):
-        raise CaseFileError(
-            f"{case}: a bed, with a [column] of gas and particles: expected a case of single contacts, one of "
-            f"{', '.join(shipped_cases(beds=False))} or your own"
-        )
-    return scene
 
 
 def parse_case(text: str, *, name: str, where: str = "case", tables: Mapping[str, Any] | None = None) -> Scene:
@@ -105,92 +69,80 @@ def parse_case(text: str, *, name: str, where: str = "case", tables: Mapping[str
     CaseFileError
         If the text is not a valid case, or ``name`` not a valid name.
     """
-    from pydantic import ValidationError
-
-    from kncal.scene.case_checks import problems
-    from kncal.scene.case_errors import fault, placed, refusal
-    from kncal.scene.case_schema import NAME, NAME_EXPECTED, CaseTable
-
     if not isinstance(name, str) or not NAME.fullmatch(name):
         raise CaseFileError(f"{where}: name of the case (its folder) = {short(name)}: {NAME_EXPECTED}")
     tables = parse_toml(text, where) if tables is None else tables
+    refuse_old(tables, where)
+    given, faults = _contact(tables)
+    if "name" in tables:
+        faults.append((("name",), "name: unknown key: the name of a case is that of its folder: leave it out"))
     try:
-        case = CaseTable.model_validate(tables)
+        scene: Scene = _adapter().validate_python({**given, "name": name})
     except ValidationError as error:
-        raise refusal(where, text, [fault(e, tables) for e in error.errors(include_url=False)]) from None
-    if faults := problems(case):
-        raise refusal(where, text, [placed(path, message) for path, message in faults])
-    return _scene(case, name)
+        raise refusal(where, text, faults + [fault(e, tables) for e in error.errors(include_url=False)]) from None
+    if found := faults + [placed(path, message) for path, message in problems(scene)]:
+        raise refusal(where, text, found)
+    return scene
 
 
-def _scene(case: CaseTable, name: str) -> Scene:
-    from kncal.scene.case_checks import make_contact, make_materials
-
-    materials = make_materials(case.materials)
-    return Scene(
-        name=name,
-        title=case.title,
-        source=case.source,
-        particles=tuple(
-            Particle(
-                name=p.name,
-                material=materials[p.material],
-                radius=p.diameter / 2.0,
-                position=_vector(p.position),
-                velocity=_vector(p.velocity),
-                spin=_vector(p.spin),
-            )
-            for p in case.particles
-        ),
-        walls=tuple(
-            # "rigid" is no material's name (checked), so it gives None
-            Wall(name=w.name, axis=w.axis, position=w.position, material=materials.get(w.material))
-            for w in case.walls
-        ),
-        gravity=_vector(case.gravity),
-        contact=make_contact(case.contact),
-        run=RunControl(**case.run.model_dump()),
-        tolerances=dict(case.tolerances),
-        overrules=dict(case.needs),
-    )
+@cache
+def _adapter() -> TypeAdapter[Scene]:
+    return TypeAdapter(Scene)
 
 
-def _vector(numbers: list[float]) -> tuple[float, float, float]:
-    x, y, z = numbers
-    return x, y, z
+def _contact(tables: Mapping[str, Any]) -> tuple[dict[str, Any], list[Fault]]:
+    """Return the tables with ``v_0 = "measured"`` as the table that it stands for, and what contradicts another key."""
+    contact, faults = tables.get("contact"), []
+    if not isinstance(contact, Mapping):
+        return dict(tables), []
+    if "method" in contact and "k_n" in contact:
+        faults.append(placed(("contact", "method"), "given together with k_n: expected one of the two"))
+    if contact.get("v_0") == MEASURED:
+        contact = {"measured": {}} | {key: value for key, value in contact.items() if key != "v_0"}
+    elif "measured" in contact:
+        faults.append(
+            placed(("contact", "measured"), f'given without v_0 = "{MEASURED}": expected both or none of them')
+        )
+    return {**tables, "contact": contact}, faults
 
 
-def dump_case(scene: Scene | BedScene) -> str:
+def refuse_old(tables: Mapping[str, Any], where: str) -> None:
+    """Raise `CaseFileError` for a case file as kncal 0.1 had it, with the new spelling of what was found."""
+    found = list(_old(tables))
+    if found:
+        raise CaseFileError(
+            f"{where}: a case file of kncal 0.1, which this version does not read: write {'; '.join(found)} "
+            "(docs/case-file.md tells all of it)"
+        )
+
+
+def _old(tables: Mapping[str, Any]) -> Iterator[str]:
+    for kind in ("particles", "walls"):
+        table = tables.get(kind)
+        if isinstance(table, list):
+            yield f"[{kind}.NAME] in place of [[{kind}]] with name"
+    if isinstance(particles := tables.get("particles"), Mapping) and "diameter" in particles:
+        yield "[particles.beads] in place of [particles], with place in place of packing"
+    if "column" in tables:
+        yield (
+            '[walls.column] with shape = "box", size = [width, depth, height] and material in place of [column], with '
+            'gas.cells and gas.walls, and periodic = ["y"] or layer = "y" in place of front_back'
+        )
+    if isinstance(run := tables.get("run"), Mapping) and "end_time" in run:
+        yield "run.until_time in place of run.until_time"
+    if isinstance(gravity := tables.get("gravity"), (int, float)) and gravity > 0.0 and gravity is not True:
+        yield f"gravity = [0.0, 0.0, {-float(gravity)}] in place of {gravity}"
+
+
+def dump_case(scene: Scene) -> str:
     """Return the text of a case file that loads back to an equal scene (under the same name).
 
     Raises
     ------
     InputError
-        If the scene cannot be written: two materials of one name, or something that no case file may say.
+        If the scene holds something that no case file may say.
     """
-    if isinstance(scene, BedScene):
-        from kncal.scene.bed_case_file import dump_bed
-
-        return dump_bed(scene)
-    parts = [entries({"title": scene.title, "source": scene.source, "gravity": scene.gravity})]
-    parts += material_tables((body.material for body in scene.bodies), scene.name)
-    for p in scene.particles:
-        values = settings(p, skip={"material", "radius"})
-        values = {
-            "name": values.pop("name"),
-            "material": p.material.name,
-            "diameter": 2.0 * p.radius,
-            **values,
-        }
-        parts.append(table("[[particles]]", values))
-    for w in scene.walls:
-        values = settings(w, skip={"material"}) | {"material": "rigid" if w.material is None else w.material.name}
-        parts.append(table("[[walls]]", values))
-    parts += contact_tables(scene.contact)
-    parts.append(table("[run]", settings(scene.run)))
-    parts.append(table("[tolerances]", scene.tolerances) if scene.tolerances else "")
-    parts.append(table("[needs]", scene.overrules) if scene.overrules else "")
-    text = "\n".join(part for part in parts if part)
+    text = dump(scene, skip={"name"})
     try:
         back = parse_case(text, name=scene.name, where=f"scene {scene.name!r}")
     except CaseFileError as error:
@@ -198,7 +150,6 @@ def dump_case(scene: Scene | BedScene) -> str:
     if back != scene:
         different = [f.name for f in fields(Scene) if getattr(back, f.name) != getattr(scene, f.name)]
         raise InputError(
-            f"scene {scene.name!r}: a case file cannot hold its {', '.join(different)} "
-            "(a method beside a prescribed k_n, arrays as material data ...): expected consistent numbers"
+            f"scene {scene.name!r}: a case file cannot hold its {', '.join(different)}: expected consistent numbers"
         )
     return text

@@ -1,25 +1,20 @@
-"""The text of a case file: where it is, read with care, its TOML parsed; and TOML written back.
-
-Shared by the two kinds of case, `kncal.scene.case_file` (single contacts) and `kncal.scene.bed_case_file` (beds).
-"""
+"""The text of a case file: where it is, read with care, its TOML parsed; and TOML written back."""
 
 from __future__ import annotations
 
 import json
 import re
 import tomllib
-from collections.abc import Iterable, Mapping
-from dataclasses import MISSING, fields
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import is_dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from kncal.core.checks import short
-from kncal.core.errors import CaseFileError, InputError, ReadError
+from kncal.core.errors import CaseFileError, ReadError
 from kncal.core.files import read_limited
 from kncal.core.shipped import folder
-from kncal.physics.material import Material
 from kncal.scene.other_files import kind_of_file
-from kncal.scene.scene import ContactChoice
 
 CASE = "case.toml"
 #: A case file larger than this is not read; 100 particles take about 20 kB, 4000 positions 200 kB.
@@ -39,17 +34,9 @@ class CaseText(NamedTuple):
     where: str
 
 
-def shipped_cases(*, beds: bool | None = None) -> tuple[str, ...]:
-    """Return the names of the cases that come with kncal, sorted; only the beds, or all others, if asked for."""
-    paths = sorted(folder("cases").glob(f"*/{CASE}"))
-    if beds is None:
-        return tuple(path.parent.name for path in paths)
-    return tuple(p.parent.name for p in paths if is_bed(parse_toml(p.read_text("utf-8"), str(p))) is beds)
-
-
-def is_bed(tables: Mapping[str, Any]) -> bool:
-    """Return whether the tables of a case file describe a bed (they have a column), not single contacts."""
-    return "column" in tables
+def shipped_cases() -> tuple[str, ...]:
+    """Return the names of the cases that come with kncal, sorted."""
+    return tuple(path.parent.name for path in sorted(folder("cases").glob(f"*/{CASE}")))
 
 
 def find_case(case: str | Path) -> Path:
@@ -162,14 +149,43 @@ def _depth(tables: object) -> int:
     return deepest
 
 
-def settings(thing: Any, skip: Iterable[str] = ()) -> dict[str, Any]:
-    """Return the fields of a dataclass that are not None and differ from their defaults."""
-    values = {f.name: (getattr(thing, f.name), f.default) for f in fields(thing) if f.name not in set(skip)}
-    return {
-        name: value
-        for name, (value, default) in values.items()
-        if value is not None and (default is MISSING or value != default)
+def dump(thing: Any, skip: Collection[str] = ()) -> str:
+    """Return the TOML of a frozen class of a scene: keys, then tables; without what is as if it were not given."""
+    return "\n".join(_parts("", settings(thing, skip)))
+
+
+def settings(thing: Any, skip: Collection[str] = ()) -> dict[str, Any]:
+    """Return the fields of a class of a scene that are not None and differ from their defaults, by key."""
+    given = {
+        name: getattr(thing, name)
+        for name, field in thing.__pydantic_fields__.items()
+        if name not in skip
+        and (field.is_required() or getattr(thing, name) != field.get_default(call_default_factory=True))
     }
+    if given.get("measured") is not None:
+        given = {"v_0": "measured"} | given
+    return {name: value for name, value in given.items() if value is not None}
+
+
+def _parts(path: str, values: Mapping[str, Any]) -> Iterator[str]:
+    """The keys of a table, then the tables inside."""
+    plain, inner, rows = {}, {}, {}
+    for key, value in values.items():
+        if is_dataclass(value):
+            inner[key] = settings(value)
+        elif isinstance(value, Mapping):
+            inner[key] = {k: settings(v) if is_dataclass(v) else v for k, v in value.items()}
+        elif isinstance(value, tuple) and value and is_dataclass(value[0]):
+            rows[key] = [settings(row) for row in value]
+        else:
+            plain[key] = value
+    tables_only = inner and not plain and not rows  # [materials] above [materials.glass] says nothing
+    if not tables_only:
+        yield table(f"[{path}]", plain) if path else entries(plain)
+    for key, value in inner.items():
+        yield from _parts(f"{path}.{toml_key(key)}" if path else toml_key(key), value)
+    for key, value in rows.items():
+        yield from (table(f"[[{path}.{key}]]", row) for row in value)
 
 
 def table(header: str, values: Mapping[str, Any]) -> str:
@@ -198,30 +214,3 @@ def toml_value(value: Any) -> str:
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{toml_key(key)} = {toml_value(v)}" for key, v in value.items()) + "}"
     return repr(value) if isinstance(value, int) else repr(float(value))
-
-
-def contact_tables(contact: ContactChoice) -> list[str]:
-    """Return the tables that describe a `ContactChoice`: ``[contact]``, its options and exceptions."""
-    first = {"law": contact.law, "e_n": contact.e_n, "end": contact.end}
-    if contact.k_n is None:
-        first["method"] = contact.method
-    rest = settings(contact, skip={"method_options", "measured", "pairs"} | {*first})
-    if contact.measured is not None:
-        rest["v_0"] = "measured"
-    parts = [table("[contact]", first | rest)]
-    if contact.method_options:
-        parts.append(table("[contact.options]", contact.method_options))
-    if contact.measured is not None:
-        parts.append(table("[contact.measured]", settings(contact.measured)))
-    return parts + [table("[[contact.pairs]]", settings(choice)) for choice in contact.pairs]
-
-
-def material_tables(materials: Iterable[Material | None], scene: str) -> list[str]:
-    """Return a table per material; `InputError` if two different ones of ``scene`` share a name."""
-    found: dict[str, Material] = {}
-    for material in materials:
-        if material is not None and found.setdefault(material.name, material) != material:
-            raise InputError(
-                f"scene {scene!r}: two different materials are called {material.name!r}: expected a name for each"
-            )
-    return [table(f"[materials.{toml_key(m.name)}]", settings(m, skip={"name"})) for m in found.values()]

@@ -16,11 +16,10 @@ from kncal.physics.calibration import OVERLAP_DOUBTFUL, OVERLAP_MEANINGLESS
 from kncal.physics.material import sphere_mass
 from kncal.physics.timestep import verlet_limit
 from kncal.scene.ballistics import first_touch, initial_overlap
-from kncal.scene.bed_scene import BedScene
+from kncal.scene.bodies import AXES, Particle, Wall
 from kncal.scene.finding import Finding, require_possible
 from kncal.scene.load import bottom_overlaps, layers
 from kncal.scene.model import PairContact, Plan
-from kncal.scene.scene import AXES, Particle, Scene, Wall
 from kncal.scene.species import SpeciesPair
 from kncal.scene.step_error import step_error
 
@@ -49,17 +48,17 @@ _Bodies = tuple[Particle, Particle | Wall]
 _Found = tuple[_Bodies, float, Finding]
 
 
-def first_impacts_starts_and_rest(model: Plan[Scene]) -> Iterator[Finding]:
+def first_impacts_starts_and_rest(model: Plan) -> Iterator[Finding]:
     """Of bodies that are alike the worst: overlaps at the first impact, at the start and at rest."""
     return worst_of_each(model, [*first_impacts(model), *starts(model), *resting(model)])
 
 
-def require_possible_scene(model: Plan[Scene]) -> None:
+def require_possible_scene(model: Plan) -> None:
     """Raise `CaseFileError` if a limit refuses the scene: something goes through something else for sure."""
     require_possible(worst_of_each(model, [*first_impacts(model), *resting(model)]))
 
 
-def worst_of_each(model: Plan[Scene], found: Iterable[_Found]) -> Iterator[Finding]:
+def worst_of_each(model: Plan, found: Iterable[_Found]) -> Iterator[Finding]:
     """Of the findings about bodies that are alike the worst, and of each kind of limit a few."""
     worst: dict[tuple[str, str, SpeciesPair], tuple[float, Finding]] = {}
     number: dict[object, int] = {}
@@ -80,7 +79,7 @@ def worst_of_each(model: Plan[Scene], found: Iterable[_Found]) -> Iterator[Findi
             yield Finding(code, "warn", f"{len(each) - MOST_ALIKE} more kinds of pairs have the last of these limits")
 
 
-def _pairs(model: Plan[Scene]) -> Iterator[tuple[_Bodies, PairContact, str, float]]:
+def _pairs(model: Plan) -> Iterator[tuple[_Bodies, PairContact, str, float]]:
     """Bodies, contact, names in words, and the radius of the smaller sphere [m]."""
     for a, b in model.scene.body_pairs():
         smaller = a.radius if isinstance(b, Wall) else min(a.radius, b.radius)
@@ -97,7 +96,7 @@ def overlap_at(contact: PairContact, speed: float) -> float | None:
     return float(contact.delta_max * (speed / contact.v_0) ** (2.0 / (contact.n + 1.0)))
 
 
-def first_impacts(model: Plan[Scene]) -> Iterator[_Found]:
+def first_impacts(model: Plan) -> Iterator[_Found]:
     """The calibration refuses an overlap that reaches the radius at v_0; here at the speeds of the scene."""
     touches: list[tuple[float, float, float, str, float | None, _Bodies]] = []
     for (a, b), contact, who, radius in _pairs(model):
@@ -118,7 +117,7 @@ def first_impacts(model: Plan[Scene]) -> Iterator[_Found]:
         yield bodies, share, Finding("first-impact", "refuse" if through and k == 0 else "warn", text)
 
 
-def starts(model: Plan[Scene]) -> Iterator[_Found]:
+def starts(model: Plan) -> Iterator[_Found]:
     """Find bodies that start deep in each other."""
     for bodies, _, who, radius in _pairs(model):
         share = initial_overlap(*bodies) / radius
@@ -130,10 +129,10 @@ def starts(model: Plan[Scene]) -> Iterator[_Found]:
             yield bodies, share, Finding("start-overlap", "warn", text)
 
 
-def resting(model: Plan[Scene]) -> Iterator[_Found]:
+def resting(model: Plan) -> Iterator[_Found]:
     """Whether the contact carries the weight, of the sphere alone (certain) and of all spheres (the worst case)."""
     scene = model.scene
-    masses = {p.name: float(sphere_mass(p.material, p.radius)) for p in scene.particles}
+    masses = {p.name: float(sphere_mass(p.material, p.radius)) for p in scene.spheres}
     everything = sum(masses.values())
     for (a, b), contact, who, radius in _pairs(model):
         if not isinstance(b, Wall):
@@ -159,7 +158,7 @@ def resting(model: Plan[Scene]) -> Iterator[_Found]:
             yield (a, b), all_of_them, Finding("static-overlap", "warn", text)
 
 
-def _deepest(model: Plan[Scene]) -> Iterator[tuple[_Bodies, PairContact, str, float]]:
+def _deepest(model: Plan) -> Iterator[tuple[_Bodies, PairContact, str, float]]:
     """As `_pairs`, of each pair of species the two that start deepest in each other."""
     found: dict[SpeciesPair, tuple[float, tuple[_Bodies, PairContact, str, float]]] = {}
     for item in _pairs(model):
@@ -170,7 +169,7 @@ def _deepest(model: Plan[Scene]) -> Iterator[tuple[_Bodies, PairContact, str, fl
     return (item for _, item in found.values())
 
 
-def recording(model: Plan[Scene]) -> Iterator[Finding]:
+def recording(model: Plan) -> Iterator[Finding]:
     """Whether frames are close enough for a contact to be seen in them; what is measured comes from frames alone."""
     if model.record_every == 1 or not model.contacts:
         return
@@ -194,7 +193,7 @@ def _alike(contact: PairContact) -> tuple[str, float, str]:
     return contact.law, contact.e_n, contact.end
 
 
-def steps(model: Plan[Scene]) -> Iterator[Finding]:
+def steps(model: Plan) -> Iterator[Finding]:
     """Find a time step that is not stable, or makes e_n wrong."""
     bodies = len(model.scene.bodies)
     most = float(min(max(bodies - 1, 1), MOST_CONTACTS))
@@ -240,9 +239,9 @@ def steps(model: Plan[Scene]) -> Iterator[Finding]:
         yield worst[2]
 
 
-def dem_steps(model: Plan[BedScene]) -> Iterator[Finding]:
+def dem_steps(model: Plan) -> Iterator[Finding]:
     """Find a time step of a bed that is not stable, or makes e_n wrong."""
-    others = model.scene.particles.count - 1
+    others = model.scene.group.number - 1
     most = min(CONTACTS_DENSE, others + CORNER)
     for (a, b), contact in model.named.items():
         if a == b and not others:
@@ -266,10 +265,10 @@ def dem_steps(model: Plan[BedScene]) -> Iterator[Finding]:
             yield Finding("dem-step", "warn", f"{a}–{b}: {coarse}")
 
 
-def bottom_of_bed(model: Plan[BedScene]) -> Iterator[Finding]:
+def bottom_of_bed(model: Plan) -> Iterator[Finding]:
     """Find contacts too soft for the weight of the bed."""
-    p = model.scene.particles
-    if p.frozen or p.count == 0:
+    p = model.scene.group
+    if p.frozen or p.number == 0:
         return
     for pair, overlap in bottom_overlaps(model).items():
         a, b = model.species.names(pair)

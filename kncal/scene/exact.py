@@ -18,7 +18,7 @@ from kncal.physics.closed_forms import DampedBounce, GrossSliding, SlipEnd, damp
 from kncal.scene.contact_event import ContactEvent
 from kncal.scene.exact_motion import EventMotion
 from kncal.scene.exact_pairs import Segment
-from kncal.scene.model import Model
+from kncal.scene.model import Plan
 
 __all__ = [
     "DampedBounce",
@@ -74,7 +74,7 @@ class ExactSolution:
         return x, v
 
 
-def solve(model: Model, t_end: float) -> ExactSolution:
+def solve(model: Plan, t_end: float) -> ExactSolution:
     """Return the exact motion of ``model`` from 0 to ``t_end`` [s].
 
     The forces are those of the model's normal contacts and gravity. A contact with friction is accepted only as
@@ -102,7 +102,7 @@ def solve(model: Model, t_end: float) -> ExactSolution:
     )
 
 
-def bounce_time(model: Model, n: int) -> float:
+def bounce_time(model: Plan, n: int) -> float:
     """Return the time of the apex after the n-th contact of ``model`` [s].
 
     Without gravity, or if nothing moves up after that contact: its end plus half its duration.

@@ -22,7 +22,7 @@ from kncal.physics.normal_force import normal_force
 from kncal.scene.contact_event import ContactEvent
 from kncal.scene.exact_pairs import BodyPair, Segment, pairs_of
 from kncal.scene.flight import pair_touch_time, wall_touch_time
-from kncal.scene.model import Model
+from kncal.scene.model import Plan
 
 _RTOL = 1e-12
 #: Contact durations per call of DOP853; after each call it is asked whether the bodies have come to rest.
@@ -54,17 +54,17 @@ class _Open:
 class EventMotion:
     """The state between events, and how it moves on."""
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: Plan) -> None:
         scene = model.scene
         self.model = model
-        self.names = tuple(p.name for p in scene.particles)
-        self.mass = np.array([float(sphere_mass(p.material, p.radius)) for p in scene.particles])
+        self.names = tuple(p.name for p in scene.spheres)
+        self.mass = np.array([float(sphere_mass(p.material, p.radius)) for p in scene.spheres])
         self.gravity = np.array(scene.gravity, dtype=np.float64)
         self.t = 0.0
-        self.x = np.array([p.position for p in scene.particles], dtype=np.float64)
-        self.v = np.array([p.velocity for p in scene.particles], dtype=np.float64)
-        self.spin = np.array([p.spin for p in scene.particles], dtype=np.float64)
-        self.radius = np.array([p.radius for p in scene.particles], dtype=np.float64)
+        self.x = np.array([p.position for p in scene.spheres], dtype=np.float64)
+        self.v = np.array([p.velocity for p in scene.spheres], dtype=np.float64)
+        self.spin = np.array([p.spin for p in scene.spheres], dtype=np.float64)
+        self.radius = np.array([p.radius for p in scene.spheres], dtype=np.float64)
         self.pairs = pairs_of(model)
         self.delta = [self._overlap(p) for p in self.pairs]
         self.open: dict[int, _Open] = {}
@@ -79,7 +79,7 @@ class EventMotion:
 
     def _overlap(self, pair: BodyPair) -> float:
         if pair.j is None:
-            wall = next(w for w in self.model.scene.walls if w.name == pair.names[1])
+            wall = next(w for w in self.model.scene.planes if w.name == pair.names[1])
             return float(pair.r_sum - pair.side * (self.x[pair.i, pair.axis] - wall.position))
         return float(pair.r_sum - np.linalg.norm(self.x[pair.i] - self.x[pair.j]))
 

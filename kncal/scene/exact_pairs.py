@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from kncal.core.checks import Array
+from kncal.scene.bodies import AXES, Particle, Wall
 from kncal.scene.contact_event import Names
-from kncal.scene.model import Model, PairContact
-from kncal.scene.scene import AXES, Particle, Wall
+from kncal.scene.model import PairContact, Plan
 
 
 @dataclass(frozen=True)
@@ -68,9 +68,9 @@ class BodyPair:
         return np.asarray(-(2.0 * w @ d + np.sum(w * w, axis=-1)) / (near + far))
 
 
-def pairs_of(model: Model) -> list[BodyPair]:
+def pairs_of(model: Plan) -> list[BodyPair]:
     """Every pair of bodies, in the order of `Scene.body_pairs`."""
-    index = {p.name: i for i, p in enumerate(model.scene.particles)}
+    index = {p.name: i for i, p in enumerate(model.scene.spheres)}
     pairs = []
     for a, b in model.scene.body_pairs():
         contact = model.between(a.name, b.name)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from math import sqrt
 
-from kncal.scene.scene import Vector
+from kncal.scene.bodies import Vector
 
 
 def wall_touch_time(gap: float, rate: float, acceleration: float) -> float:

@@ -12,10 +12,10 @@ from collections.abc import Iterator
 from typing import Literal
 
 from kncal.physics.fluidization import minimum_fluidization_velocity, relaxation_time, terminal_velocity
-from kncal.scene.bed_scene import BedScene, Gas
 from kncal.scene.finding import Finding
 from kncal.scene.load import largest_superficial, settled_height
 from kncal.scene.model import Plan
+from kncal.scene.scene import Gas, Scene
 
 #: Courant number U dt/h of the gas step.
 COURANT_LARGEST, COURANT_LARGE = 2.0, 1.0
@@ -29,19 +29,19 @@ FAST_GAS = 100.0
 HEAVY_GAS = 0.05
 
 
-def _fastest_gas(scene: BedScene, gas: Gas, eps: float) -> tuple[float, str]:
+def _fastest_gas(scene: Scene, gas: Gas, eps: float) -> tuple[float, str]:
     """Estimate of the fastest interstitial gas [m/s], and where it is."""
     if gas.jet is not None:
         return gas.jet.velocity, "the jet"
-    share = eps if scene.particles.count > 1 else 1.0
+    share = eps if scene.group.number > 1 else 1.0
     return largest_superficial(scene) / share, f"the bed (U_0/{share:.2g})" if share < 1.0 else "the column"
 
 
-def courant(model: Plan[BedScene], gas: Gas, eps: float) -> Iterator[Finding]:
+def courant(model: Plan, gas: Gas, eps: float) -> Iterator[Finding]:
     """Find gas steps too long for the gas cells."""
     scene = model.scene
     speed, place = _fastest_gas(scene, gas, eps)
-    h = scene.column.height / scene.column.cells[2]
+    h = scene.box.height / gas.cells[2]
     courant = speed * model.gas_step / h
     if courant > COURANT_LARGE:
         level: Literal["refuse", "warn"] = "refuse" if courant > COURANT_LARGEST else "warn"
@@ -54,15 +54,15 @@ def courant(model: Plan[BedScene], gas: Gas, eps: float) -> Iterator[Finding]:
         )
 
 
-def relaxation(model: Plan[BedScene], gas: Gas, eps: float) -> Iterator[Finding]:
+def relaxation(model: Plan, gas: Gas, eps: float) -> Iterator[Finding]:
     """Find coupling intervals too long for the drag on particles that move."""
     scene = model.scene
-    p = scene.particles
-    rho = float(p.material.density)
+    p = scene.group
+    rho = scene.density
     if p.frozen:
         return
-    fall = float(terminal_velocity(p.diameter, rho, gas.density, gas.viscosity, scene.gravity))
-    if p.count == 1:
+    fall = float(terminal_velocity(p.diameter, rho, gas.density, gas.viscosity, scene.g))
+    if p.number == 1:
         slip, voidage = fall, 1.0
     else:
         slip, voidage = largest_superficial(scene) / eps, eps
@@ -78,23 +78,23 @@ def relaxation(model: Plan[BedScene], gas: Gas, eps: float) -> Iterator[Finding]
         )
 
 
-def _particle_speed(scene: BedScene, gas: Gas) -> tuple[float, str]:
+def _particle_speed(scene: Scene, gas: Gas) -> tuple[float, str]:
     """Estimate of the fastest particles [m/s], and from what."""
-    p = scene.particles
-    excess = float(terminal_velocity(p.diameter, float(p.material.density), gas.density, gas.viscosity, scene.gravity))
-    if p.count == 1:
+    p = scene.group
+    excess = float(terminal_velocity(p.diameter, scene.density, gas.density, gas.viscosity, scene.g))
+    if p.number == 1:
         return max(abs(largest_superficial(scene) - excess), 0.0), "its velocity relative to the column in the end"
     # Bubbles and slugs throw particles up, and drop them, by about the height of the bed.
-    fall = math.sqrt(2.0 * scene.gravity * settled_height(scene))
+    fall = math.sqrt(2.0 * scene.g * settled_height(scene))
     return max(fall, scene.contact.v_0 or 0.0), "a fall from the top of the bed, or contact.v_0"
 
 
-def way(model: Plan[BedScene], gas: Gas) -> Iterator[Finding]:
+def way(model: Plan, gas: Gas) -> Iterator[Finding]:
     """Find coupling intervals in which particles move too far."""
-    if model.scene.particles.frozen:
+    if model.scene.group.frozen:
         return
     speed, why = _particle_speed(model.scene, gas)
-    d = model.scene.particles.diameter
+    d = model.scene.group.diameter
     way = speed * model.coupling / d
     if way > WAY_LARGE:
         yield Finding(
@@ -106,15 +106,15 @@ def way(model: Plan[BedScene], gas: Gas) -> Iterator[Finding]:
         )
 
 
-def added_mass(scene: BedScene, gas: Gas) -> Iterator[Finding]:
+def added_mass(scene: Scene, gas: Gas) -> Iterator[Finding]:
     """Find a gas so heavy that the inertia of what a particle displaces is missed.
 
     A sphere that accelerates takes half of the displaced mass with it (Clift, Grace & Weber, Bubbles, Drops, and
     Particles (1978), chapter 11).
     """
-    p = scene.particles
-    ratio = gas.density / float(p.material.density)
-    if p.count and not p.frozen and ratio > HEAVY_GAS:
+    p = scene.group
+    ratio = gas.density / scene.density
+    if p.number and not p.frozen and ratio > HEAVY_GAS:
         yield Finding(
             "added-mass",
             "warn",
@@ -124,7 +124,7 @@ def added_mass(scene: BedScene, gas: Gas) -> Iterator[Finding]:
         )
 
 
-def fast_gas(scene: BedScene, gas: Gas, eps: float) -> Iterator[Finding]:
+def fast_gas(scene: Scene, gas: Gas, eps: float) -> Iterator[Finding]:
     """Find a gas so fast that it is compressed."""
     speed, _ = _fastest_gas(scene, gas, eps)
     if speed > FAST_GAS:
@@ -136,7 +136,7 @@ def fast_gas(scene: BedScene, gas: Gas, eps: float) -> Iterator[Finding]:
         )
 
 
-def held_drag(model: Plan[BedScene], gas: Gas, eps: float) -> Iterator[Finding]:
+def held_drag(model: Plan, gas: Gas, eps: float) -> Iterator[Finding]:
     """Find gas steps too long for the drag on particles that are held.
 
     The gas solver moves its parcel by implicit drag from rest: the mean drag of a step dt is that of the start divided
@@ -146,14 +146,12 @@ def held_drag(model: Plan[BedScene], gas: Gas, eps: float) -> Iterator[Finding]:
     ----------
     eps : void fraction [-]
     """
-    p, speed = model.scene.particles, largest_superficial(model.scene)
-    if not p.count or not p.frozen or speed == 0.0:
+    p, speed = model.scene.group, largest_superficial(model.scene)
+    if not p.number or not p.frozen or speed == 0.0:
         return
-    voidage = eps if p.count > 1 else 1.0
+    voidage = eps if p.number > 1 else 1.0
     slip = speed / voidage
-    tau = float(
-        relaxation_time(float(p.material.density), p.diameter, gas.density, gas.viscosity, slip=slip, eps_g=voidage)
-    )
+    tau = float(relaxation_time(model.scene.density, p.diameter, gas.density, gas.viscosity, slip=slip, eps_g=voidage))
     bias = model.gas_step / tau
     if bias > BIAS_LARGE:
         yield Finding(
@@ -166,14 +164,12 @@ def held_drag(model: Plan[BedScene], gas: Gas, eps: float) -> Iterator[Finding]:
         )
 
 
-def lift(scene: BedScene, gas: Gas, eps: float) -> Iterator[Finding]:
+def lift(scene: Scene, gas: Gas, eps: float) -> Iterator[Finding]:
     """Find a gas too slow to fluidise the bed, or so fast that it carries it out."""
-    p = scene.particles
-    if p.count == 1 or (speed := largest_superficial(scene)) == 0.0:
+    p = scene.group
+    if p.number == 1 or (speed := largest_superficial(scene)) == 0.0:
         return
-    U_mf = float(
-        minimum_fluidization_velocity(p.diameter, p.material.density, gas.density, gas.viscosity, eps, scene.gravity)
-    )
+    U_mf = float(minimum_fluidization_velocity(p.diameter, scene.density, gas.density, gas.viscosity, eps, scene.g))
     if speed < U_mf:
         yield Finding(
             "below-u-mf",
@@ -182,7 +178,7 @@ def lift(scene: BedScene, gas: Gas, eps: float) -> Iterator[Finding]:
             f"(Ergun at eps_g = {eps:.3g}): expected more for a bubbling bed, or"
             " particles.frozen = true for a packed one",
         )
-    v_t = float(terminal_velocity(p.diameter, p.material.density, gas.density, gas.viscosity, scene.gravity))
+    v_t = float(terminal_velocity(p.diameter, scene.density, gas.density, gas.viscosity, scene.g))
     if speed >= v_t:
         yield Finding(
             "carried-out",

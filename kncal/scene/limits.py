@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kncal.scene import box_limits, contact_limits, gas_limits
-from kncal.scene.bed_scene import BedScene
 from kncal.scene.finding import Finding
 from kncal.scene.load import EPS_SETTLED, settled_voidage
 from kncal.scene.model import Plan
@@ -28,43 +27,43 @@ class Limit(NamedTuple):
     """One limit: for which scenes it speaks, and what finds it in a plan and the voidage of the packing [-]."""
 
     speaks: Callable[[Any], bool]
-    find: Callable[[Plan[Any], float], Iterable[Finding]]
+    find: Callable[[Any, float], Iterable[Finding]]
 
 
-def _few(scene: Scene | BedScene) -> bool:
-    return isinstance(scene, Scene)
+def _single(scene: Scene) -> bool:
+    return not scene.coupled
 
 
-def _bed(scene: Scene | BedScene) -> bool:
-    return isinstance(scene, BedScene)
+def _many(scene: Scene) -> bool:
+    return scene.coupled
 
 
-def _gas(scene: Scene | BedScene) -> bool:
-    return isinstance(scene, BedScene) and scene.gas is not None
+def _gas(scene: Scene) -> bool:
+    return scene.gas is not None
 
 
-def _heavy(scene: Scene | BedScene) -> bool:
+def _heavy(scene: Scene) -> bool:
     """Whether gas acts against the weight of particles."""
-    return isinstance(scene, BedScene) and scene.gas is not None and scene.particles.count > 0 < scene.gravity
+    return scene.gas is not None and scene.group.number > 0 < scene.g
 
 
-def _loose(scene: Scene | BedScene) -> bool:
+def _loose(scene: Scene) -> bool:
     """Whether gas acts against the weight of particles that can move."""
-    return isinstance(scene, BedScene) and _heavy(scene) and not scene.particles.frozen
+    return _heavy(scene) and not scene.group.frozen
 
 
 #: Every limit, in the order in which they are said.
 LIMITS = (
-    Limit(_few, lambda p, _: contact_limits.first_impacts_starts_and_rest(p)),
-    Limit(_few, lambda p, _: contact_limits.steps(p)),
-    Limit(_few, lambda p, _: contact_limits.recording(p)),
-    Limit(_bed, lambda p, _: box_limits.depth(p.scene)),
-    Limit(_bed, lambda p, _: contact_limits.dem_steps(p)),
-    Limit(_bed, lambda p, _: contact_limits.bottom_of_bed(p)),
-    Limit(_gas, lambda p, _: box_limits.jet_faces(p.scene)),
-    Limit(_gas, lambda p, _: box_limits.small_cells(p.scene)),
+    Limit(_single, lambda p, _: contact_limits.first_impacts_starts_and_rest(p)),
+    Limit(_single, lambda p, _: contact_limits.steps(p)),
+    Limit(_single, lambda p, _: contact_limits.recording(p)),
+    Limit(_many, lambda p, _: box_limits.depth(p.scene)),
+    Limit(_many, lambda p, _: contact_limits.dem_steps(p)),
+    Limit(_many, lambda p, _: contact_limits.bottom_of_bed(p)),
+    Limit(_gas, lambda p, _: box_limits.jet_faces(p.scene, p.scene.gas)),
+    Limit(_gas, lambda p, _: box_limits.small_cells(p.scene, p.scene.gas)),
     Limit(_gas, lambda p, eps: gas_limits.courant(p, p.scene.gas, eps)),
-    Limit(_gas, lambda p, eps: box_limits.coarse_cells(p.scene, eps)),
+    Limit(_gas, lambda p, eps: box_limits.coarse_cells(p.scene, p.scene.gas, eps)),
     Limit(_gas, lambda p, _: gas_limits.added_mass(p.scene, p.scene.gas)),
     Limit(_gas, lambda p, eps: gas_limits.fast_gas(p.scene, p.scene.gas, eps)),
     Limit(_gas, lambda p, eps: gas_limits.held_drag(p, p.scene.gas, eps)),
@@ -75,7 +74,7 @@ LIMITS = (
 )
 
 
-def check(plan: Plan[Scene | BedScene], positions: ArrayLike | None = None) -> tuple[Finding, ...]:
+def check(plan: Plan, positions: ArrayLike | None = None) -> tuple[Finding, ...]:
     """Return every limit that a scene runs into, refusals first; warnings of its contacts are in `PairContact`.
 
     Of bodies that are alike (`kncal.scene.species`) the worst.
@@ -87,7 +86,7 @@ def check(plan: Plan[Scene | BedScene], positions: ArrayLike | None = None) -> t
     """
     scene, eps = plan.scene, EPS_SETTLED
     found: list[Finding] = []
-    if positions is not None and isinstance(scene, BedScene):
+    if positions is not None and scene.coupled:
         x = np.asarray(positions, dtype=np.float64)
         found += box_limits.places(scene, x)
         if all(finding.code != "positions" for finding in found):
@@ -98,20 +97,20 @@ def check(plan: Plan[Scene | BedScene], positions: ArrayLike | None = None) -> t
     return tuple(sorted(found, key=lambda finding: finding.level != "refuse"))
 
 
-def findings_of(plans: Iterable[Plan[Scene | BedScene]]) -> Iterator[tuple[str, Finding]]:
+def findings_of(plans: Iterable[Plan]) -> Iterator[tuple[str, Finding]]:
     """Yield the limits that the plans of one scene run into, and before each its model; of gas and coupling only once.
 
     Coupling intervals of the models are whole numbers of their own steps, so numbers in the texts differ a little.
     """
     said: set[tuple[str, str]] = set()
     for plan in plans:
-        shared = not _few(plan.scene)
+        shared = plan.scene.coupled
         found = [f for f in check(plan) if not shared or f.code in _OF_CONTACTS or (f.code, f.level) not in said]
         said |= {(f.code, f.level) for f in found}
         yield from (("" if shared else f"{plan.kind}: ", f) for f in found)
 
 
-def warnings_of(plans: Mapping[str, Plan[Scene | BedScene]]) -> tuple[str, ...]:
+def warnings_of(plans: Mapping[str, Plan]) -> tuple[str, ...]:
     """Return the warnings about the runs of these plans, each text once, with the pairs that it is about.
 
     Attraction at the end of the contact, which nearly every damped contact has, is left to the tables.
@@ -141,7 +140,7 @@ def _first(texts: list[str]) -> Iterator[str]:
         yield f"{len(texts) - most} more kinds of pairs have the last of these limits, with other numbers"
 
 
-def no_contact(*plans: Plan[Scene]) -> str:
+def no_contact(*plans: Plan) -> str:
     """Return why no contact is seen in the frames of runs of these plans, and what to do."""
     # in words alike for both models
     sparse = [finding for plan in plans for finding in contact_limits.recording(plan)]

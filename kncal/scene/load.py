@@ -8,53 +8,53 @@ import numpy as np
 
 from kncal.core.checks import Array
 from kncal.physics.material import sphere_mass
-from kncal.scene.bed_scene import BedScene
-from kncal.scene.model import BedModel
+from kncal.scene.model import Plan
+from kncal.scene.scene import Scene
 from kncal.scene.species import SpeciesPair
 
 #: Void fraction of a settled packing of equal spheres, where no positions are given to measure it.
 EPS_SETTLED = 0.40
 
 
-def layers(scene: BedScene) -> float:
+def layers(scene: Scene) -> float:
     """Return the number of particles above the cross-section d² of one, N d²/(floor area), at least 1 (itself)."""
-    particles, column = scene.particles, scene.column
-    return max(particles.count * particles.diameter**2 / (column.width * column.depth), 1.0)
+    group, box = scene.group, scene.box
+    return max(group.number * group.diameter**2 / (box.width * box.depth), 1.0)
 
 
-def bottom_load(scene: BedScene) -> float:
+def bottom_load(scene: Scene) -> float:
     """Return the weight [N] that a particle at the bottom of the bed at rest carries, its own included.
 
     That of all above its cross-section d²: side walls carry none, the gas neither.
     """
-    particles = scene.particles
-    return float(sphere_mass(particles.material, particles.diameter / 2.0)) * scene.gravity * layers(scene)
+    sphere = scene.spheres[0]
+    return float(sphere_mass(sphere.material, sphere.radius)) * scene.g * layers(scene)
 
 
-def bottom_overlaps(model: BedModel) -> dict[SpeciesPair, float]:
+def bottom_overlaps(model: Plan) -> dict[SpeciesPair, float]:
     """Return the overlap [m] at which each contact of a bed carries `bottom_load`, by pair of species: (F/k)^(1/n)."""
     load = bottom_load(model.scene)
     return {pair: contact.overlap_under(load) for pair, contact in model.contacts.items()}
 
 
-def largest_superficial(scene: BedScene) -> float:
+def largest_superficial(scene: Scene) -> float:
     """Return the largest superficial gas velocity of the run, mean over the floor [m/s]; 0 without gas."""
     gas = scene.gas
     if gas is None:
         return 0.0
     if gas.jet is not None:
-        return gas.jet.velocity * (gas.jet.x_high - gas.jet.x_low) / scene.column.width
+        return gas.jet.velocity * (gas.jet.x_high - gas.jet.x_low) / scene.box.width
     return max((velocity for _, velocity in gas.ramp), default=gas.U_0)
 
 
-def settled_height(scene: BedScene, eps_g: float = EPS_SETTLED) -> float:
+def settled_height(scene: Scene, eps_g: float = EPS_SETTLED) -> float:
     """Return the height of the bed at rest [m] at the void fraction ``eps_g``: solid volume/((1 - eps_g) area)."""
-    particles, column = scene.particles, scene.column
-    solid = particles.count * math.pi / 6.0 * particles.diameter**3
-    return solid / ((1.0 - eps_g) * column.width * column.depth)
+    group, box = scene.group, scene.box
+    solid = group.number * math.pi / 6.0 * group.diameter**3
+    return solid / ((1.0 - eps_g) * box.width * box.depth)
 
 
-def settled_voidage(scene: BedScene, positions: Array) -> float:
+def settled_voidage(scene: Scene, positions: Array) -> float:
     """Return the void fraction of a packing [-] between a tenth and three quarters of its height.
 
     The height is that below which 95 % of the centres are; counted are the centres in between. ``positions``:
@@ -66,6 +66,6 @@ def settled_voidage(scene: BedScene, positions: Array) -> float:
     top = float(np.quantile(z, 0.95))
     low, high = 0.1 * top, 0.75 * top
     inside = np.count_nonzero((z >= low) & (z < high))
-    column, d = scene.column, scene.particles.diameter
-    solids = inside * math.pi / 6.0 * d**3 / ((high - low) * column.width * column.depth)
+    box, d = scene.box, scene.group.diameter
+    solids = inside * math.pi / 6.0 * d**3 / ((high - low) * box.width * box.depth)
     return float(np.clip(1.0 - solids, 0.2, 0.95))

@@ -6,9 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Generic, TypeVar
 
-from kncal.scene.bed_scene import BedScene
 from kncal.scene.needs import Needs
 from kncal.scene.scene import Scene
 from kncal.scene.species import SpeciesPair, SpeciesTable, species_of
@@ -65,11 +63,8 @@ class PairContact:
         return float((force / self.k) ** (1.0 / self.n))
 
 
-S_co = TypeVar("S_co", bound="Scene | BedScene", covariant=True)
-
-
 @dataclass(frozen=True, kw_only=True)
-class Plan(Generic[S_co]):
+class Plan:
     """A scene with numbers, for one model: what rendering and running need, decided once by `kncal.scene.plan`.
 
     Attributes
@@ -92,7 +87,7 @@ class Plan(Generic[S_co]):
     gas_steps : gas steps per coupling interval
     """
 
-    scene: S_co
+    scene: Scene
     kind: str
     needs: Needs
     contacts: Mapping[SpeciesPair, PairContact]
@@ -136,10 +131,6 @@ class Plan(Generic[S_co]):
         """Return the contact of two bodies by their names; `KeyError` if they have none."""
         return self.contacts[self.species.pair_of((one, other))]
 
-    def without_friction(self) -> Plan[S_co]:
+    def without_friction(self) -> Plan:
         """Return the same plan with smooth contacts: its normal motion is that of a sphere on a wall with friction."""
         return replace(self, contacts={pair: replace(c, friction=0.0) for pair, c in self.contacts.items()})
-
-
-Model = Plan[Scene]
-BedModel = Plan[BedScene]

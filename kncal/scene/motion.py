@@ -13,7 +13,8 @@ import numpy as np
 
 from kncal.core.checks import Array
 from kncal.scene.ballistics import first_touch, initial_overlap
-from kncal.scene.scene import AXES, Particle, Scene, Wall
+from kncal.scene.bodies import AXES, Particle, Wall
+from kncal.scene.scene import Scene
 
 Contact = tuple[Particle, Particle | Wall]
 
@@ -48,7 +49,7 @@ def normal_of(contact: Contact) -> Array:
 
 def motion_of(scene: Scene) -> tuple[Array, list[Contact]]:
     """Return the space of the motion (3, rank) and the contacts that can happen; grown until complete."""
-    vectors = [np.asarray(p.velocity) for p in scene.particles] + [np.asarray(scene.gravity)]
+    vectors = [np.asarray(p.velocity) for p in scene.spheres] + [np.asarray(scene.gravity)]
     space, contacts = _basis(vectors), list[Contact]()
     pairs, known = scene.body_pairs(), set[tuple[str, str]]()
     while True:

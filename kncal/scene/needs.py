@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -10,9 +11,9 @@ import numpy as np
 
 from kncal.core.checks import Array, one_of
 from kncal.physics.fluidization import terminal_velocity
-from kncal.scene.bed_scene import BedScene
+from kncal.scene.bodies import Particle, Wall
 from kncal.scene.motion import Contact, directions, friction_of, motion_of, normal_of, particles_in, relative_space
-from kncal.scene.scene import Particle, Scene, Wall
+from kncal.scene.scene import Scene
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -89,23 +90,23 @@ class Needs:
         return pd.DataFrame(self.rows())
 
 
-def decide(scene: Scene | BedScene) -> Needs:
+def decide(scene: Scene) -> Needs:
     """Return the physics that ``scene`` requires, with a reason for each, and the user's overrules marked.
 
     Raises
     ------
     InputError
-        If ``scene.overrules`` names something that cannot be overruled.
+        If ``scene.needs`` names something that cannot be overruled.
     """
-    for name in scene.overrules:
+    for name in scene.needs:
         one_of("physics to overrule", name, OVERRULABLE)
-    return _of_bed(scene) if isinstance(scene, BedScene) else _of_few(scene)
+    return _of_coupled(scene) if scene.coupled else _of_single(scene)
 
 
 def untouched_walls(scene: Scene) -> tuple[str, ...]:
     """Return the names of the walls that nothing can touch, in the order of the scene."""
     touched = {body.name for contact in motion_of(scene)[1] for body in contact}
-    return tuple(wall.name for wall in scene.walls if wall.name not in touched)
+    return tuple(wall.name for wall in scene.planes if wall.name not in touched)
 
 
 def _overruled(item: Need, overrules: Mapping[str, bool]) -> Need:
@@ -114,12 +115,12 @@ def _overruled(item: Need, overrules: Mapping[str, bool]) -> Need:
     return Need(item.name, wish, item.reason, overruled=wish != item.used)
 
 
-def _of_few(scene: Scene) -> Needs:
+def _of_single(scene: Scene) -> Needs:
     space, contacts = motion_of(scene)
     tangential, why_tangential = _tangential(scene, space, contacts)
-    tangential_used = scene.overrules.get("tangential", tangential)
+    tangential_used = scene.needs.get("tangential", tangential)
     rolling, why_rolling = _rolling(scene, contacts, tangential_used)
-    rolling_used = scene.overrules.get("rolling", rolling)
+    rolling_used = scene.needs.get("rolling", rolling)
     rotation = tangential_used or rolling_used
     why_rotation = (
         "friction at the surface exerts a torque"
@@ -148,7 +149,7 @@ def _of_few(scene: Scene) -> Needs:
     return Needs(
         dimensions=max(rank, 1),
         dimensions_reason=shape[rank] + ("" if rank in (0, 3) else f" ({directions(space)})"),
-        items=tuple(_overruled(item, scene.overrules) for item in own),
+        items=tuple(_overruled(item, scene.needs) for item in own),
     )
 
 
@@ -201,7 +202,7 @@ def _walls(scene: Scene, contacts: list[Contact]) -> Need:
     if touched:
         reason = f"{', '.join(map(repr, touched))} can be touched"
     else:
-        reason = "no wall can be touched" if scene.walls else "the scene has no walls"
+        reason = "no wall can be touched" if scene.planes else "the scene has no walls"
     return Need("walls", bool(touched), reason)
 
 
@@ -210,7 +211,7 @@ def _pair_contacts(scene: Scene, contacts: list[Contact]) -> Need:
     if meeting:
         reason = f"{meeting[0][0]!r} and {meeting[0][1]!r} can meet"
     else:
-        reason = "a single particle" if len(scene.particles) == 1 else "the particles pass each other"
+        reason = "a single particle" if len(scene.spheres) == 1 else "the particles pass each other"
     return Need("pair_contacts", bool(meeting), reason)
 
 
@@ -223,14 +224,14 @@ def _damping(scene: Scene, contacts: list[Contact]) -> Need:
     return Need("damping", smallest < 1.0, reason)
 
 
-# --- beds
+# --- coupled in intervals
 
 
-def _of_bed(scene: BedScene) -> Needs:
+def _of_coupled(scene: Scene) -> Needs:
     gas, motion, settling = scene.gas is not None, *_moving(scene)
-    contacts, why_contacts = _bed_contacts(scene, motion.used or settling.used)
-    tangential = _overruled(_bed_tangential(scene, contacts), scene.overrules)
-    rolling = _overruled(_bed_rolling(scene, tangential.used), scene.overrules)
+    contacts, why_contacts = _coupled_contacts(scene, motion.used or settling.used)
+    tangential = _overruled(_coupled_tangential(scene, contacts), scene.needs)
+    rolling = _overruled(_coupled_rolling(scene, tangential.used), scene.needs)
     work = "moves the particles" if motion.used else "settles the packing, before the gas starts"
     items = (
         Need("gas", gas, "the case has a [gas]" if gas else "the case has no [gas]"),
@@ -239,13 +240,13 @@ def _of_bed(scene: BedScene) -> Needs:
         Need("contacts", contacts, why_contacts),
         tangential,
         rolling,
-        _bed_damping(scene, contacts),
+        _coupled_damping(scene, contacts),
         _depth(scene),
-        _coupling(gas, motion.used, bool(scene.particles.count)),
+        _coupling(gas, motion.used, bool(scene.group.number)),
         Need("liggghts", moved := motion.used or settling.used, work if moved else "nothing moves but the gas"),
         Need("openfoam", gas, "moves the gas" if gas else "there is no gas"),
     )
-    plane = scene.column.front_back == "layer"
+    plane = scene.front_back == "layer"
     return Needs(
         dimensions=2 if plane else 3,
         dimensions_reason="one layer of particles, held in its plane (xz); they stay spheres"
@@ -255,15 +256,15 @@ def _of_bed(scene: BedScene) -> Needs:
     )
 
 
-def _moving(scene: BedScene) -> tuple[Need, Need]:
-    particles = scene.particles
-    settles = particles.count > 0 and particles.packing == "settled"
-    if not particles.count:
+def _moving(scene: Scene) -> tuple[Need, Need]:
+    particles = scene.group
+    settles = particles.number > 0 and particles.place == "settled"
+    if not particles.number:
         moves, why = False, "there are no particles"
     elif particles.frozen:
         moves, why = False, "the particles are frozen where they are"
     else:
-        moves, why = True, f"{particles.count} particles are free to move"
+        moves, why = True, f"{particles.number} particles are free to move"
     return (
         Need("motion", moves, why),
         Need(
@@ -271,49 +272,47 @@ def _moving(scene: BedScene) -> tuple[Need, Need]:
             settles,
             "the packing settles from a loose lattice"
             if settles
-            else f'the packing is "{particles.packing}"'
-            if particles.count
+            else f'the packing is "{particles.place}"'
+            if particles.number
             else "there are no particles",
         ),
     )
 
 
-def _bed_contacts(scene: BedScene, moves: bool) -> tuple[bool, str]:
+def _coupled_contacts(scene: Scene, moves: bool) -> tuple[bool, str]:
     if not moves:
         return False, "nothing moves, so no contact changes"
-    if scene.particles.count > 1:
-        return True, f"{scene.particles.count} particles in one column meet"
+    if scene.group.number > 1:
+        return True, f"{scene.group.number} particles in one column meet"
     reach = _reach(scene)
     if reach is not None and reach[0] < reach[1]:
         return False, f"a single particle that drifts {reach[0]:.3g} m, with {reach[1]:.3g} m free in its way"
     return True, "a single particle that may reach a wall"
 
 
-def _reach(scene: BedScene) -> tuple[float, float] | None:
+def _reach(scene: Scene) -> tuple[float, float] | None:
     """Largest drift of a single particle released at rest, and the free way in that direction [m]; None: not known.
 
     In gas of constant uniform speed its velocity goes from 0 to U_0 less the terminal velocity without passing it;
     a tenth is added for the gas that the particle itself moves.
     """
-    particles, gas = scene.particles, scene.gas
-    if gas is None or gas.jet is not None or gas.ramp or not particles.positions or scene.gravity == 0.0:
+    particles, gas = scene.group, scene.gas
+    if gas is None or gas.jet is not None or gas.ramp or not particles.centres or scene.g == 0.0:
         return None
-    fall = float(
-        terminal_velocity(particles.diameter, particles.material.density, gas.density, gas.viscosity, scene.gravity)
-    )
+    fall = float(terminal_velocity(particles.diameter, scene.density, gas.density, gas.viscosity, scene.g))
     drift = gas.U_0 - fall
-    z = particles.positions[0][2]
-    free = (scene.column.height - z if drift > 0.0 else z) - 0.5 * particles.diameter
-    return 1.1 * abs(drift) * scene.run.end_time, free
+    z = particles.centres[0][2]
+    free = (scene.box.height - z if drift > 0.0 else z) - 0.5 * particles.diameter
+    return 1.1 * abs(drift) * (scene.run.until_time or math.inf), free
 
 
-def _exceptions(scene: BedScene, key: str) -> list[float]:
+def _exceptions(scene: Scene, key: str) -> list[float]:
     """The case's number ``key`` and those of its exceptions."""
     contact = scene.contact
     return [getattr(contact, key), *(v for c in contact.pairs if (v := getattr(c, key)) is not None)]
 
 
-def _bed_tangential(scene: BedScene, contacts: bool) -> Need:
+def _coupled_tangential(scene: Scene, contacts: bool) -> Need:
     if not contacts:
         used, reason = False, "there are no contacts"
     elif max(_exceptions(scene, "friction")) > 0.0:
@@ -323,7 +322,7 @@ def _bed_tangential(scene: BedScene, contacts: bool) -> Need:
     return Need("tangential", used, reason)
 
 
-def _bed_rolling(scene: BedScene, tangential: bool) -> Need:
+def _coupled_rolling(scene: Scene, tangential: bool) -> Need:
     if scene.contact.rolling_friction == 0.0:
         used, reason = False, "the rolling friction coefficient is 0"
     elif tangential:
@@ -333,7 +332,7 @@ def _bed_rolling(scene: BedScene, tangential: bool) -> Need:
     return Need("rolling", used, reason)
 
 
-def _bed_damping(scene: BedScene, contacts: bool) -> Need:
+def _coupled_damping(scene: Scene, contacts: bool) -> Need:
     smallest = min(_exceptions(scene, "e_n"))
     if not contacts:
         return Need("damping", False, "there are no contacts")
@@ -342,13 +341,13 @@ def _bed_damping(scene: BedScene, contacts: bool) -> Need:
     return Need("damping", lossy, reason)
 
 
-def _depth(scene: BedScene) -> Need:
+def _depth(scene: Scene) -> Need:
     reasons = {
         "walls": (True, "walls in front and at the back"),
         "periodic": (True, "periodic in depth"),
         "layer": (False, "one layer: no wall in front or at the back, no motion and no gas flow in depth"),
     }
-    used, reason = reasons[scene.column.front_back]
+    used, reason = reasons[scene.front_back]
     return Need("depth", used, reason)
 
 

@@ -1,4 +1,4 @@
-"""Single values of a case file given from outside: ``run.end_time=0.2`` in place of what the file says.
+"""Single values of a case file given from outside: ``run.until_time=0.2`` in place of what the file says.
 
 They are put into the TOML tables before these are validated, so a wrong one is refused like the file itself.
 """
@@ -58,7 +58,7 @@ class Override:
 def parse_override(text: str) -> Override:
     """Return what ``KEY=VALUE`` says: a dotted TOML key, and a TOML value or a bare word (which is text).
 
-    ``run.end_time=0.2``, ``particles.count=500``, ``contact.law=hertz``, ``gas.ramp=[[0, 0.1], [1, 0.5]]``,
+    ``run.until_time=0.2``, ``particles.beads.count=500``, ``contact.law=hertz``, ``gas.ramp=[[0, 0.1], [1, 0.5]]``,
     ``walls.floor.position=0.0`` (of the wall called floor), ``title="two words"``; ``contact.method=none`` takes the
     key out of the case (``gas=none`` the table).
 
@@ -69,14 +69,16 @@ def parse_override(text: str) -> Override:
     """
     key, sign, given = text.partition("=")
     if not sign or not key.strip() or not given.strip():
-        raise InputError(f"{short(text)}: expected KEY=VALUE, e.g. run.end_time=0.2")
+        raise InputError(f"{short(text)}: expected KEY=VALUE, e.g. run.until_time=0.2")
     path: list[str] = []
     keys = _one_entry(f"{key} = 0")
     while isinstance(keys, dict) and len(keys) == 1:
         (part, keys), *_ = keys.items()
         path.append(part)
     if keys != 0 or not path:
-        raise InputError(f"{short(text)}: {short(key)} is no key: expected names with dots between, e.g. run.end_time")
+        raise InputError(
+            f"{short(text)}: {short(key)} is no key: expected names with dots between, e.g. run.until_time"
+        )
     value = _one_entry(f"x = {given.strip()}")
     if isinstance(value, dict) and set(value) == {"x"}:
         return Override(tuple(path), value["x"])
@@ -100,7 +102,7 @@ def parse_overrides(texts: Sequence[str]) -> list[Override]:
 def overridden(tables: Mapping[str, Any], overrides: Iterable[Override]) -> dict[str, Any]:
     """Return a copy of the tables of a case file with these values in place of, or beside, its own.
 
-    The title tells of them, so that a run folder does: ``Small bubbling bed (run.end_time = 0.1)``.
+    The title tells of them, so that a run folder does: ``Small bubbling bed (run.until_time = 0.1)``.
 
     Raises
     ------
@@ -153,9 +155,9 @@ def _inside(here: Any, part: str, done: Sequence[str], override: Override) -> An
         return here[_row(here, part, done, override)]
     if not isinstance(here, dict):
         raise CaseFileError(f"{override.key}: {'.'.join(done)} = {short(here)}: expected a table above {part!r}")
-    if part not in here and list(done) == ["materials"]:
+    if part not in here and list(done) in (["materials"], ["particles"], ["walls"]):
         # a new one would lack everything but this key, and the refusal would not name the slip
-        raise CaseFileError(f"{override.key}: no material {part!r}: expected {_instead(part, here)}")
+        raise CaseFileError(f"{override.key}: no {part!r} in {done[0]}: expected {_instead(part, here)}")
     return here.setdefault(part, {})
 
 

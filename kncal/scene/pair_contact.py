@@ -10,6 +10,7 @@ from kncal.core.errors import CaseFileError
 from kncal.physics.calibration import Calibration, calibrate
 from kncal.physics.impact import dimensionless_impact
 from kncal.physics.laws import LAWS
+from kncal.physics.laws.base import ContactLaw
 from kncal.physics.material import Pair
 from kncal.physics.timestep import contact_time
 from kncal.scene.model import PairContact
@@ -54,18 +55,22 @@ def numbers_of(contact: ContactChoice, exception: PairChoice | None) -> PairNumb
     return PairNumbers(e_n, friction, v_0, k_n)
 
 
-def calibration_for(contact: ContactChoice, both: Pair, numbers: PairNumbers) -> Calibration | None:
-    """Return the calibration of one pair, or None where the case prescribes k_n without an impact speed."""
+def calibration_for(
+    contact: ContactChoice, both: Pair, numbers: PairNumbers, law: ContactLaw | None = None
+) -> Calibration | None:
+    """Return the calibration of one pair, or None where the case prescribes k_n without an impact speed.
+
+    ``law``: in place of the one that ``contact`` names.
+    """
     e_n, _, v_0, k_n = numbers
+    reference = law or contact.law
     if v_0 is None:
         return None
     if k_n is not None:
         # A prescribed stiffness is a contact of the duration that this stiffness gives.
         t_c = contact_time(k_n, both.m_eff, e_n, contact.end)
-        return calibrate(both, v_0=v_0, e_n=e_n, law=contact.law, method="contact_time", end=contact.end, t_c=t_c)
-    return calibrate(
-        both, v_0=v_0, e_n=e_n, law=contact.law, method=contact.method, end=contact.end, **contact.method_options
-    )
+        return calibrate(both, v_0=v_0, e_n=e_n, law=reference, method="contact_time", end=contact.end, t_c=t_c)
+    return calibrate(both, v_0=v_0, e_n=e_n, law=reference, method=contact.method, end=contact.end, **contact.options)
 
 
 def resting_time(both: Pair, rest: Rest, scene: str, names: str) -> float:
@@ -90,7 +95,15 @@ def resting_time(both: Pair, rest: Rest, scene: str, names: str) -> float:
 
 
 def pair_contact(
-    contact: ContactChoice, both: Pair, numbers: PairNumbers, kind: str, rest: Rest, *, scene: str, names: str
+    contact: ContactChoice,
+    both: Pair,
+    numbers: PairNumbers,
+    kind: str,
+    rest: Rest,
+    *,
+    scene: str,
+    names: str,
+    law: ContactLaw | None = None,
 ) -> PairContact:
     """Return the contact of one pair in the model ``kind``, "linear" or "hertz".
 
@@ -100,6 +113,7 @@ def pair_contact(
     both : Pair
     rest : for the duration of a Hertz contact without an impact speed, or of bodies pressed together from the start
     scene, names : of the scene and of the two bodies ("'one' and 'other'"), for messages
+    law : in place of the one that ``contact`` names
 
     Raises
     ------
@@ -107,30 +121,30 @@ def pair_contact(
         If the hertz model has no reference law of that kind, or its damping or duration needs an impact speed.
     """
     e_n, friction, v_0, k_n = numbers
-    calibration = calibration_for(contact, both, numbers)
+    calibration = calibration_for(contact, both, numbers, law)
     m_eff, E_eff, R_eff, G_eff = (float(x) for x in (both.m_eff, both.E_eff, both.R_eff, both.G_eff))
     ratio = contact.k_t_ratio
     if kind == "linear":
         stiffness = k_n if k_n is not None else float(calibration.k_n)  # type: ignore[union-attr]
         t_c = float(contact_time(stiffness, m_eff, e_n, contact.end))
         delta_max = None if calibration is None else float(calibration.delta_max)
-        law, n, p = "linear", 1.0, 0.0
+        name, n, p = "linear", 1.0, 0.0
         c = float(dimensionless_impact("linear", e_n, contact.end).C) * math.sqrt(stiffness * m_eff)
         k_t = stiffness * float(both.k_t_ratio if ratio is None else ratio)
     else:
-        reference = LAWS.find(contact.law)
+        reference = law or LAWS.find(contact.law)
         if reference.stiffness_exponent == 1.0:
             raise CaseFileError(
                 f"{scene}: contact.law = {reference.name!r}: expected a Hertz-type reference law for the "
                 "hertz run (tsuji, hertz, kuwabara_kono, hunt_crossley)"
             )
-        stiffness, law, n = float(both.k_h), reference.name, 1.5
+        stiffness, name, n = float(both.k_h), reference.name, 1.5
         p = reference.damping_exponent or 0.0
         speed = v_0 if v_0 is not None else 1.0
         length = (m_eff * speed**2 / stiffness) ** 0.4
-        C = float(dimensionless_impact(reference, 1.0 if law == "hertz" else e_n, contact.end).C)
+        C = float(dimensionless_impact(reference, 1.0 if name == "hertz" else e_n, contact.end).C)
         if v_0 is None and reference.e_depends_on_speed:
-            raise CaseFileError(f"{scene}: law {law!r} needs contact.v_0 [m/s], since its e_n depends on the speed")
+            raise CaseFileError(f"{scene}: law {name!r} needs contact.v_0 [m/s], since its e_n depends on the speed")
         c = C * m_eff * speed / length ** (p + 1.0)
         if calibration is None:
             t_c, delta_max = resting_time(both, rest, scene, names), None
@@ -141,13 +155,13 @@ def pair_contact(
                 t_c = min(t_c, resting_time(both, rest, scene, names))
         k_t = 8.0 * G_eff * math.sqrt(R_eff)
     return PairContact(
-        law=law,
+        law=name,
         k=stiffness,
         n=n,
         c=c,
         p=p,
         end=contact.end,
-        e_n=e_n if law != "hertz" else 1.0,
+        e_n=e_n if name != "hertz" else 1.0,
         v_0=v_0,
         t_c=t_c,
         delta_max=delta_max,

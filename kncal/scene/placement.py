@@ -12,13 +12,13 @@ import numpy as np
 from kncal.core.checks import Array
 from kncal.core.errors import InputError
 from kncal.core.registry import Registry
-from kncal.scene.bed_scene import BedScene
+from kncal.scene.scene import Scene
 
 #: Lattice spacing and the largest random offset on each axis, in diameters: 1.12 - 2 x 0.04 > 1, so none overlap.
 SPACING, OFFSET = 1.12, 0.04
 
 
-def lattice(scene: BedScene) -> Array:
+def lattice(scene: Scene) -> Array:
     """Return centres (n, 3) [m] on a loose cubic lattice with small random offsets, filled from the floor up.
 
     No two particles touch, nor a wall. In a layer all are exactly in the middle plane.
@@ -28,17 +28,17 @@ def lattice(scene: BedScene) -> Array:
     InputError
         If the column is too small for them.
     """
-    column, particles = scene.column, scene.particles
-    d, n = particles.diameter, particles.count
-    layer = column.front_back == "layer"
-    sides = [_Sites.of(column.width, d), _Sites.of(column.depth, d, periodic=column.front_back == "periodic")]
-    sides.append(_Sites.of(column.height, d))
+    box, particles = scene.box, scene.group
+    d, n = particles.diameter, particles.number
+    layer = scene.front_back == "layer"
+    sides = [_Sites.of(box.width, d), _Sites.of(box.depth, d, periodic=scene.front_back == "periodic")]
+    sides.append(_Sites.of(box.height, d))
     if layer:
-        sides[1] = _Sites(1, 0.5 * column.depth, 0.0)
+        sides[1] = _Sites(1, 0.5 * box.depth, 0.0)
     room = math.prod(side.number for side in sides)
     if room < n:
         raise InputError(
-            f"{scene.name}: a loose lattice of the column {column.width:g} x {column.depth:g} x {column.height:g} m "
+            f"{scene.name}: a loose lattice of the column {box.width:g} x {box.depth:g} x {box.height:g} m "
             f"has {room} places, the bed {n} particles: expected a larger column (height) or fewer particles"
         )
     # only the places that are taken: a large column has more of them than fit into memory
@@ -72,13 +72,13 @@ class _Sites(NamedTuple):
         return cls(number, first, spacing)
 
 
-def given(scene: BedScene) -> Array:
+def given(scene: Scene) -> Array:
     """Return the centres (n, 3) [m] that the case gives; InputError if they are of another shape or not finite."""
-    particles = scene.particles
-    positions = np.array(particles.positions, dtype=np.float64)
-    if positions.shape != (particles.count, 3) or not np.isfinite(positions).all():
+    particles = scene.group
+    positions = np.array(particles.centres, dtype=np.float64)
+    if positions.shape != (particles.number, 3) or not np.isfinite(positions).all():
         raise InputError(
-            f"{scene.name}: positions of shape {positions.shape}: expected ({particles.count}, 3) finite numbers, "
+            f"{scene.name}: positions of shape {positions.shape}: expected ({particles.number}, 3) finite numbers, "
             "x, y, z for each particle"
         )
     return positions
@@ -89,12 +89,12 @@ class Placement:
     """A way to place particles: ``place`` returns their centres (n, 3) [m]; ``settles``: an engine lets them down."""
 
     name: str
-    place: Callable[[BedScene], Array]
+    place: Callable[[Scene], Array]
     settles: bool = False
 
 
 PLACEMENTS = Registry(
-    "packing",
+    "place",
     Placement,
     Placement(name="settled", place=lattice, settles=True),
     Placement(name="lattice", place=lattice),

@@ -7,20 +7,19 @@ from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any, overload
 
 import numpy as np
 
 from kncal.core.errors import CaseFileError, ValidityError
 from kncal.physics.material import Pair, pair, wall_pair
 from kncal.scene.ballistics import first_touch, initial_overlap
-from kncal.scene.bed_scene import BedScene
+from kncal.scene.bodies import Particle, Wall
 from kncal.scene.contact_limits import require_possible_scene
 from kncal.scene.load import bottom_load
 from kncal.scene.model import KINDS, PairContact, Plan
 from kncal.scene.needs import Needs, decide
 from kncal.scene.pair_contact import PairNumbers, Rest, numbers_of, pair_contact, smooth
-from kncal.scene.scene import Particle, Scene, Wall
+from kncal.scene.scene import Scene
 from kncal.scene.species import SpeciesPair, species_of
 
 #: Records that take more than this are refused before the run [bytes]: a report reads all of them.
@@ -39,11 +38,7 @@ def pair_of(a: Particle, b: Particle | Wall) -> Pair:
     return pair(a.material, a.radius, b.material, b.radius)
 
 
-@overload
-def plan(scene: Scene, kinds: Iterable[str] = ...) -> dict[str, Plan[Scene]]: ...
-@overload
-def plan(scene: BedScene, kinds: Iterable[str] = ...) -> dict[str, Plan[BedScene]]: ...
-def plan(scene: Scene | BedScene, kinds: Iterable[str] = KINDS) -> Any:
+def plan(scene: Scene, kinds: Iterable[str] = KINDS) -> dict[str, Plan]:
     """Return the plans of ``scene`` by kind of model, all with the same end time (of a bed: but for whole couplings).
 
     The step is the shortest contact duration over ``steps_per_contact`` (of each model by itself). Where gas and
@@ -59,7 +54,7 @@ def plan(scene: Scene | BedScene, kinds: Iterable[str] = KINDS) -> Any:
     """
     kinds = tuple(kinds)
     needs = decide(scene)
-    if isinstance(scene, BedScene):
+    if scene.coupled:
         return {kind: _coupled(scene, kind, needs) for kind in kinds}
     first_speed = speed_once()
     models = {kind: _few(scene, kind, needs, first_speed) for kind in KINDS}
@@ -76,7 +71,7 @@ class _Known:
     """Models of a scene, told from others by its text: every number of it stands there with all its digits."""
 
     text: str
-    models: Mapping[str, Plan[Scene]] = field(compare=False)
+    models: Mapping[str, Plan] = field(compare=False)
 
 
 @lru_cache(maxsize=256)  # a run is planned when it is checked, when it starts and when it is read
@@ -89,10 +84,10 @@ def _bounced(known: _Known) -> float:
 
 
 def pair_choice(
-    scene: Scene | BedScene,
+    scene: Scene,
     a: Particle,
     b: Particle | Wall,
-    first_speed: Callable[[Scene | BedScene], float | None] | None = None,
+    first_speed: Callable[[Scene], float | None] | None = None,
 ) -> PairNumbers:
     """Return the numbers of one pair: the scene's choice, or the first exception that names both bodies.
 
@@ -108,11 +103,11 @@ def pair_choice(
     return numbers
 
 
-def speed_once() -> Callable[[Scene | BedScene], float | None]:
+def speed_once() -> Callable[[Scene], float | None]:
     """Return `first_impact_speed` for one scene, found at the first call: it looks at every pair of bodies."""
     speeds: list[float | None] = []
 
-    def first_speed(scene: Scene | BedScene) -> float | None:
+    def first_speed(scene: Scene) -> float | None:
         if not speeds:
             speeds.append(first_impact_speed(scene))
         return speeds[0]
@@ -120,7 +115,7 @@ def speed_once() -> Callable[[Scene | BedScene], float | None]:
     return first_speed
 
 
-def species_choices(scene: Scene | BedScene) -> dict[SpeciesPair, PairNumbers]:
+def species_choices(scene: Scene) -> dict[SpeciesPair, PairNumbers]:
     """Return the numbers (`pair_choice`) of every pair of species that bodies of the scene form."""
     species, first_speed = species_of(scene), speed_once()
     return {
@@ -130,8 +125,8 @@ def species_choices(scene: Scene | BedScene) -> dict[SpeciesPair, PairNumbers]:
     }
 
 
-def _why_no_speed(scene: Scene | BedScene) -> str:
-    if isinstance(scene, BedScene):
+def _why_no_speed(scene: Scene) -> str:
+    if scene.coupled:
         return (
             "a bed has no first impact to calibrate at: expected contact.v_0 [m/s], typical of this bed, or "
             "contact.k_n [N/m]"
@@ -150,22 +145,22 @@ def _why_no_speed(scene: Scene | BedScene) -> str:
     )
 
 
-def first_impact_speed(scene: Scene | BedScene) -> float | None:
+def first_impact_speed(scene: Scene) -> float | None:
     """Return the normal closing speed of the scene's first touch [m/s], from ballistics; None if there is none.
 
     Nor is there one in a bed, whose particles are placed later.
     """
-    if isinstance(scene, BedScene):
+    if scene.coupled:
         return None
     touches = [touch for a, b in scene.body_pairs() if (touch := first_touch(scene, a, b)) is not None]
     return min(touches)[1] if touches else None
 
 
 def _contacts(
-    scene: Scene | BedScene,
+    scene: Scene,
     kind: str,
     needs: Needs,
-    first_speed: Callable[[Scene | BedScene], float | None],
+    first_speed: Callable[[Scene], float | None],
     overlaps: Mapping[SpeciesPair, float],
 ) -> tuple[dict[SpeciesPair, PairContact], dict[SpeciesPair, PairContact]]:
     """The contacts of the pairs of species that meet, with their overlap at t = 0 [m], and of those that do not."""
@@ -184,7 +179,7 @@ def _contacts(
     return met, unmet
 
 
-def _few(scene: Scene, kind: str, needs: Needs, first_speed: Callable[[Scene | BedScene], float | None]) -> Plan[Scene]:
+def _few(scene: Scene, kind: str, needs: Needs, first_speed: Callable[[Scene], float | None]) -> Plan:
     species = species_of(scene)
     overlaps: dict[SpeciesPair, float] = {}
     for a, b in scene.body_pairs():  # of a gap nothing depends
@@ -196,7 +191,7 @@ def _few(scene: Scene, kind: str, needs: Needs, first_speed: Callable[[Scene | B
     return replace(given, dt=dt, record_every=scene.run.record_every)
 
 
-def _timed(model: Plan[Scene], t_end: float) -> Plan[Scene]:
+def _timed(model: Plan, t_end: float) -> Plan:
     number = t_end / model.dt * (1.0 - 1e-12)
     n_steps = math.ceil(min(number, MOST_STEPS + 1.0))  # it may be infinite
     if n_steps > MOST_STEPS:
@@ -209,11 +204,11 @@ def _timed(model: Plan[Scene], t_end: float) -> Plan[Scene]:
 
 
 def contact_of(
-    scene: Scene | BedScene,
+    scene: Scene,
     a: Particle,
     b: Particle | Wall,
     kind: str,
-    first_speed: Callable[[Scene | BedScene], float | None],
+    first_speed: Callable[[Scene], float | None],
     overlap: float,
 ) -> PairContact:
     """Return the contact of two bodies, which stand for their species; ``overlap`` [m]: at t = 0.
@@ -223,27 +218,27 @@ def contact_of(
     """
     both, numbers = pair_of(a, b), pair_choice(scene, a, b, first_speed)
     own = float(both.m_eff) * float(np.linalg.norm(scene.gravity))
-    rest = Rest(overlap, bottom_load(scene) if isinstance(scene, BedScene) else own)
+    rest = Rest(overlap, bottom_load(scene) if scene.coupled else own)
     names = f"{a.name!r} and {b.name!r}"
     return pair_contact(scene.contact, both, numbers, kind, rest, scene=scene.name, names=names)
 
 
-def _coupled(scene: BedScene, kind: str, needs: Needs) -> Plan[BedScene]:
+def _coupled(scene: Scene, kind: str, needs: Needs) -> Plan:
     contacts: dict[SpeciesPair, PairContact] = {}
     if needs.uses("liggghts"):
         overlaps = dict.fromkeys(species_of(scene).pairs(), 0.0)
         contacts, _ = _contacts(scene, kind, needs, first_impact_speed, overlaps)
-    wish = scene.run.coupling
+    wish, t_end = scene.run.coupling or math.inf, scene.run.until_time or math.inf  # checked: both are given
     shortest = min((c.t_c for c in contacts.values()), default=math.inf)
     dt = min(shortest / scene.run.steps_per_contact, wish)
     # 1e-9: a wish that is a whole number of steps but for rounding is that number
     per_coupling = max(math.floor(wish / dt * (1.0 + 1e-9)), 1)
     coupling = per_coupling * dt
-    number = scene.run.end_time / coupling * (1.0 - 1e-9)  # may be infinite
+    number = t_end / coupling * (1.0 - 1e-9)  # may be infinite
     if number * per_coupling > MOST_STEPS:
         raise CaseFileError(
             f"{scene.name}: the {kind} model needs {number * per_coupling:.3g} steps of {dt:.3g} s: expected at most "
-            f"{MOST_STEPS:.3g}; shorten run.end_time, or take a softer material (beds are customarily run with a "
+            f"{MOST_STEPS:.3g}; shorten run.until_time, or take a softer material (beds are customarily run with a "
             "Young's modulus far below the real one) or a smaller run.steps_per_contact"
         )
     couplings = math.ceil(number)
@@ -251,7 +246,7 @@ def _coupled(scene: BedScene, kind: str, needs: Needs) -> Plan[BedScene]:
     if number * gas_steps > MOST_STEPS:
         raise CaseFileError(
             f"{scene.name}: the gas needs {number * gas_steps:.3g} steps of {scene.run.gas_step:.3g} s: expected at "
-            f"most {MOST_STEPS:.3g}; take a longer run.gas_step, or shorten run.end_time"
+            f"most {MOST_STEPS:.3g}; take a longer run.gas_step, or shorten run.until_time"
         )
     frames_every = max(round(min(scene.run.frames_every / coupling, couplings + 1.0)), 1)
     _check_series(scene, couplings, couplings // frames_every)
@@ -270,12 +265,12 @@ def _coupled(scene: BedScene, kind: str, needs: Needs) -> Plan[BedScene]:
     )
 
 
-def _check_series(scene: BedScene, couplings: int, frames: int) -> None:
+def _check_series(scene: Scene, couplings: int, frames: int) -> None:
     """Refuse records that would fill disk and memory: single precision, six numbers a particle, five a gas cell."""
-    size = 24 * scene.particles.count + (20 * math.prod(scene.column.cells) if scene.gas is not None else 0)
+    size = 24 * scene.group.number + (20 * math.prod(scene.gas.cells) if scene.gas is not None else 0)
     if frames * size + couplings * COUPLING_BYTES > MOST_SERIES_BYTES:
         raise CaseFileError(
             f"{scene.name}: {frames} frames of {size / 1e6:.3g} MB and {couplings} couplings of "
             f"{COUPLING_BYTES / 1e3:.3g} kB are to be recorded: expected at most {MOST_SERIES_BYTES / 1e9:.3g} GB in "
-            "all; take a longer run.frames_every, a longer run.coupling or a shorter run.end_time"
+            "all; take a longer run.frames_every, a longer run.coupling or a shorter run.until_time"
         )

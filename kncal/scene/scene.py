@@ -1,119 +1,209 @@
-"""A scene: what is simulated, said once, independent of any solver. SI units throughout."""
+"""A scene: what is simulated, said once, independent of any solver. SI units throughout, z is up.
+
+The classes are the schema of a case file: each is a table of it, and each field a key, with the ranges of
+`kncal.scene.values`. What values must satisfy together is in `kncal.scene.case_checks`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Container, Iterable
+from dataclasses import replace
+from functools import cached_property
+from typing import Annotated, Any, Literal, TypeVar
 
-from kncal.physics.material import Material
+import numpy as np
+from pydantic import Field
+from pydantic.dataclasses import dataclass
 
-Vector = tuple[float, float, float]
-AXES = ("x", "y", "z")
+from kncal.core.errors import InputError
+from kncal.physics.material import RANGES, Material
+from kncal.scene.bodies import RIGID, Axis, Body, Particle, Wall
+from kncal.scene.values import (
+    FROZEN,
+    Acceleration,
+    Cells,
+    Coordinate,
+    Flag,
+    Friction,
+    GasDensity,
+    GasSpeed,
+    GasViscosity,
+    Length,
+    Name,
+    Number,
+    Option,
+    Position,
+    Ramp,
+    Restitution,
+    Seconds,
+    Share,
+    Speed,
+    Spin,
+    Stiffness,
+    Text,
+    Time,
+    Tolerance,
+    Velocity,
+    Whole,
+    Word,
+    within,
+)
+from kncal.scene.walls import WALLS, AnyWall, BoxWall, PlaneWall
+
+#: Particles of one group, and most groups and walls of a scene.
+MOST_PARTICLES, MOST_WALLS, MOST_PAIRS = 1_000_000, 20, 200
+#: Particles of which each may touch each; every pair is planned and observed.
+MOST_SINGLE = 100
+#: Parcels that may share a particle's volume.
+PARCELS = (1, 8, 27)
+#: What bounds a box in y: walls, nothing (periodic), or nothing since particles are held in one layer.
+DEPTHS = ("walls", "periodic", "layer")
+AT_REST = (0.0, 0.0, 0.0)
+
+_T = TypeVar("_T")
+StepsPerContact = Annotated[Number, within(4.0, 1e6, hint="50 is usual")]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Particle:
-    """A solid sphere.
+@dataclass(frozen=True, kw_only=True, config=FROZEN)
+class MaterialData:
+    """``[materials.NAME]``; the ranges are those of `kncal.physics.material.Material`."""
 
-    Attributes
-    ----------
-    name : unique among particles and walls
-    material : Material
-    radius : [m]
-    position, velocity : of the centre at t = 0 [m], [m/s]
-    spin : angular velocity at t = 0 [rad/s]
-    """
-
-    name: str
-    material: Material
-    radius: float
-    position: Vector
-    velocity: Vector = (0.0, 0.0, 0.0)
-    spin: Vector = (0.0, 0.0, 0.0)
+    young: Number = Field(description="Young's modulus [Pa]")
+    poisson: Number = Field(description="Poisson's ratio [-]")
+    density: Number = Field(description="density [kg/m³]")
+    yield_strength: Number | None = Field(default=None, description="yield strength [Pa]")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Wall:
-    """An infinite plane wall normal to a coordinate axis; a particle stays on the side where it starts.
+@dataclass(frozen=True, kw_only=True, config=FROZEN)
+class Particles:
+    """``[particles.NAME]``: equal spheres; a single particle is a group of one."""
 
-    Attributes
-    ----------
-    name : unique among particles and walls
-    axis : "x", "y" or "z", the plane's normal
-    position : coordinate of the plane on that axis [m]
-    material : Material, or None for a rigid wall
-    """
+    material: Name = Field(description="the name of a material")
+    diameter: Length = Field(description="diameter [m]")
+    count: Annotated[Whole, within(0, MOST_PARTICLES)] | None = Field(
+        default=None, description="number of particles; none: of the positions given; 0: gas only"
+    )
+    place: Word = Field(
+        default="given",
+        description='where they start: "given" (position, positions), "lattice" (a loose lattice from the floor up) or '
+        '"settled" (LIGGGHTS settles that lattice under gravity)',
+    )
+    position: Position | None = Field(default=None, description="[x, y, z] of the centre of a single particle [m]")
+    positions: Annotated[tuple[Position, ...], Field(max_length=MOST_PARTICLES)] = Field(
+        default=(), description="[x, y, z] of the centre of each particle [m]"
+    )
+    velocity: Velocity = Field(default=AT_REST, description="[x, y, z] of the velocity at the start [m/s]")
+    spin: Spin = Field(default=AT_REST, description="[x, y, z] of the angular velocity at the start [rad/s]")
+    seed: Annotated[Whole, within(0, 2**31 - 1)] = Field(default=1, description="seed of the lattice's random offsets")
+    settle_k_n: Stiffness | None = Field(
+        default=None,
+        description='stiffness of the spring by which "settled" particles settle [N/m]; none: of the linear run',
+    )
+    frozen: Flag = Field(default=False, description="true: the particles do not move")
 
-    name: str
-    axis: str
-    position: float
-    material: Material | None = None
+    @property
+    def centres(self) -> tuple[Position, ...]:
+        """The positions that are given [m]."""
+        return self.positions if self.position is None else (self.position,)
+
+    @property
+    def number(self) -> int:
+        """Number of particles."""
+        return len(self.centres) if self.count is None else self.count
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, config=FROZEN)
+class Jet:
+    """``[gas.jet]``: a slot in the floor over the whole depth; gas enters through it only."""
+
+    x_low: Coordinate = Field(description="lower end of the slot in x, on a cell face [m]")
+    x_high: Coordinate = Field(description="upper end of the slot in x, on a cell face [m]")
+    velocity: Annotated[Number, within(1e-6, 1e3, "m/s")] = Field(
+        description="velocity of the gas in the slot, upwards [m/s]"
+    )
+
+
+@dataclass(frozen=True, kw_only=True, config=FROZEN)
+class Gas:
+    """``[gas]``: the gas in the box, its cells, and how it enters."""
+
+    cells: Cells = Field(description="numbers of gas cells of the box in x, y and z")
+    density: GasDensity = Field(description="density [kg/m³]")
+    viscosity: GasViscosity = Field(description="dynamic viscosity [Pa s]")
+    walls: Literal["slip", "noSlip"] = Field(default="slip", description='of the gas at the walls: "slip" or "noSlip"')
+    U_0: GasSpeed = Field(default=0.0, description="superficial velocity over the whole floor [m/s]")
+    ramp: Ramp = Field(
+        default=(),
+        description="[time [s], superficial velocity [m/s]] points, linear in between and constant outside",
+    )
+    jet: Jet | None = Field(default=None, description="[gas.jet] with x_low, x_high, velocity")
+    drag: Word = Field(
+        default="ErgunWenYu", description="drag law: ErgunWenYu, PlessisMasliyah, or one that a package adds"
+    )
+    parcels_per_particle: Literal[1, 8, 27] = Field(
+        default=1, description="parcels that share a particle's volume, for cells near the particle's size: 1, 8 or 27"
+    )
+
+    def inlet_at(self, time: float) -> float:
+        """Return the superficial velocity through the floor at ``time`` [s]: U_0 or the ramp's [m/s]; 0 with a jet."""
+        if not self.ramp:
+            return self.U_0
+        times, velocities = zip(*self.ramp, strict=True)
+        return float(np.interp(time, times, velocities))
+
+
+@dataclass(frozen=True, kw_only=True, config=FROZEN)
 class PairChoice:
-    """What differs for one pair; ``between`` holds two names of particles, walls or materials."""
+    """``[[contact.pairs]]``: what differs for one pair."""
 
-    between: tuple[str, str]
-    e_n: float | None = None
-    friction: float | None = None
-    v_0: float | None = None
-    k_n: float | None = None
+    between: tuple[Name, Name] = Field(description="two names of particles, walls or materials")
+    e_n: Restitution | None = Field(default=None, description="normal restitution [-]")
+    friction: Friction | None = Field(default=None, description="Coulomb friction coefficient [-]")
+    v_0: Speed | None = Field(default=None, description="impact speed to calibrate at [m/s]")
+    k_n: Stiffness | None = Field(default=None, description="prescribed linear stiffness [N/m]")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, config=FROZEN)
 class MeasuredSpeed:
-    """How the impact speed to calibrate at is measured (``contact.v_0 = "measured"``; see `kncal.runs.measure_speed`).
+    """``[contact.measured]``: how the speed is measured with ``v_0 = "measured"`` (`kncal.runs.measure_speed`)."""
 
-    Attributes
-    ----------
-    statistic : of the impact speeds: "energy_weighted", "mean" or "p99" (see `kncal.observe.impact_speeds`)
-    start : first guess of v_0 [m/s]; None (single contacts only): the first impact, from ballistics
-    run_time : end time of a measuring round [s]; None (single contacts only): as the case runs
-    tolerance : relative change of k_n below which it has settled [-]
-    rounds : most rounds
-    """
-
-    statistic: str = "energy_weighted"
-    start: float | None = None
-    run_time: float | None = None
-    tolerance: float = 0.02
-    rounds: int = 6
+    statistic: Literal["energy_weighted", "mean", "p99"] = Field(
+        default="energy_weighted", description='of the impact speeds: "energy_weighted" mean, "mean" or "p99"'
+    )
+    start: Speed | None = Field(default=None, description="first guess of v_0 [m/s]; none: the first impact's")
+    run_time: Seconds | None = Field(
+        default=None, description="end time of a measuring round [s]; none: as the case runs"
+    )
+    tolerance: Share = Field(default=0.02, description="relative change of k_n below which it has settled [-]")
+    rounds: Annotated[Whole, within(1, 50)] = Field(default=6, description="most rounds")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, config=FROZEN)
 class ContactChoice:
-    """The reference contact law and how its linear counterpart is found.
+    """``[contact]``: the reference contact law and how its linear counterpart is found.
 
-    Attributes
-    ----------
-    law : reference law ("tsuji", "hertz", ...)
-    e_n : normal coefficient of restitution [-]
-    end : contact end, "overlap" or "force"
-    method : how k_n is found; not used where ``k_n`` is given
-    method_options : options of the method
-    v_0 : impact speed to calibrate at [m/s]; None: the scene's first impact, from ballistics
-    measured : not None where the case says ``v_0 = "measured"`` (then ``v_0`` is None): such a scene has no numbers
-        before `kncal.runs.measure_speed.resolve_measured` puts a speed in its place
-    k_n : prescribed linear stiffness [N/m]; overrules the method
-    friction : Coulomb coefficient [-]
-    k_t_ratio : k_t/k_n of the linear contact [-]; None: the Mindlin ratio of the pair
-    rolling_friction : rolling friction coefficient [-]
-    pairs : exceptions for single pairs; the first match counts
+    ``measured`` is there where the case says ``v_0 = "measured"``: such a scene has no numbers before
+    `kncal.runs.measure_speed.resolve_measured` puts a speed in its place. Of ``pairs`` the first match counts.
     """
 
-    law: str = "tsuji"
-    e_n: float = 1.0
-    end: str = "overlap"
-    method: str = "mean_overlap"
-    method_options: Mapping[str, float | str] = field(default_factory=dict)
-    v_0: float | None = None
-    measured: MeasuredSpeed | None = None
-    k_n: float | None = None
-    friction: float = 0.0
-    k_t_ratio: float | None = None
-    rolling_friction: float = 0.0
-    pairs: tuple[PairChoice, ...] = ()
+    law: Word = Field(default="tsuji", description="reference contact law")
+    e_n: Restitution = Field(default=1.0, description="normal restitution [-]")
+    end: Literal["overlap", "force"] = Field(default="overlap", description='contact end: "overlap" or "force"')
+    method: Word = Field(default="mean_overlap", description="how k_n is found")
+    v_0: Speed | None = Field(
+        default=None, description='impact speed to calibrate at [m/s], or "measured"; none: the first impact\'s'
+    )
+    measured: MeasuredSpeed | None = Field(default=None, description='[contact.measured], for v_0 = "measured"')
+    k_n: Stiffness | None = Field(default=None, description="prescribed linear stiffness [N/m], in place of a method")
+    friction: Friction = Field(default=0.0, description="Coulomb friction coefficient [-]")
+    k_t_ratio: Annotated[Number, within(0.0, 10.0)] | None = Field(
+        default=None, description="k_t/k_n of the linear contact [-]; none: the Mindlin ratio of the pair"
+    )
+    rolling_friction: Friction = Field(default=0.0, description="rolling friction coefficient [-]")
+    options: dict[Name, Option] = Field(default_factory=dict, description="options of the method")
+    pairs: Annotated[tuple[PairChoice, ...], Field(max_length=MOST_PAIRS)] = Field(
+        default=(), description="exceptions for single pairs"
+    )
 
     def exception(self, names_a: Container[str], names_b: Container[str]) -> PairChoice | None:
         """Return the first exception that names both bodies, each known by several names, or None."""
@@ -124,69 +214,194 @@ class ContactChoice:
         return None
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, config=FROZEN)
 class RunControl:
-    """How long and how finely to run.
+    """``[run]``: how long and how finely to run.
 
-    Attributes
-    ----------
-    steps_per_contact : steps N per contact duration, the same meaning for every model
-    until_time : end time [s], or None
-    until_bounces : run to the apex after this many contacts (of the model that needs longer), or None
-    dt : prescribed time step [s] for both models; None: from steps_per_contact
-    record_every : steps between recorded frames during a contact (and just before and after it)
+    With ``coupling``, particles (and gas) go on in intervals, and each is recorded; without, the solver runs once from
+    start to end, and every contact is recorded step by step.
     """
 
-    steps_per_contact: float = 50.0
-    until_time: float | None = None
-    until_bounces: int | None = None
-    dt: float | None = None
-    record_every: int = 1
+    until_time: Seconds | None = Field(default=None, description="end time [s]")
+    until_bounces: Annotated[Whole, within(1, 1000)] | None = Field(
+        default=None,
+        description="number of contacts, after which the run ends at the apex (of the model that needs longer)",
+    )
+    steps_per_contact: StepsPerContact = Field(
+        default=50.0, description="steps per contact duration [-], the same meaning for every model"
+    )
+    dt: Seconds | None = Field(default=None, description="time step of all models [s]; none: from steps_per_contact")
+    record_every: Annotated[Whole, within(1, 1e6)] = Field(
+        default=1, description="steps between recorded frames during a contact"
+    )
+    coupling: Seconds | None = Field(
+        default=None,
+        description="coupling interval [s], rounded down to whole steps of each model; none: nothing is coupled",
+    )
+    gas_step: Seconds | None = Field(default=None, description="longest gas step [s]; none: one per coupling interval")
+    discard: Time | None = Field(default=None, description="start-up left out of averages [s]; none: detected")
+    frames_every: Seconds = Field(
+        default=0.01, description="time between recorded frames of particles and gas fields of a coupled run [s]"
+    )
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, config=FROZEN)
 class Scene:
-    """Everything that a run needs to know, and nothing about the solver that will run it.
+    """A case: everything that a run needs to know, and nothing about the solver that will run it.
 
-    Attributes
-    ----------
-    name : short name, also the folder's name: ``[A-Za-z0-9][A-Za-z0-9._-]{0,63}``
-    title, source : one line each: what it is, where its parameters come from
-    gravity : acceleration [m/s²]
-    tolerances : metric name -> allowed relative difference of linear against Hertz [-]
-    overrules : physics name -> the user's decision against `kncal.scene.needs`
+    ``name`` is also the folder's; a case file takes it from there. ``tolerances``: metric -> allowed relative
+    difference of linear against Hertz. ``needs``: the user's decisions against `kncal.scene.needs`.
     """
 
-    name: str
-    title: str = ""
-    source: str = ""
-    particles: tuple[Particle, ...]
-    walls: tuple[Wall, ...] = ()
-    gravity: Vector = (0.0, 0.0, 0.0)
-    contact: ContactChoice = field(default_factory=ContactChoice)
-    run: RunControl = field(default_factory=RunControl)
-    tolerances: Mapping[str, float] = field(default_factory=dict)
-    overrules: Mapping[str, bool] = field(default_factory=dict)
+    name: Name
+    title: Text = Field(default="", description="one line: what the case is")
+    source: Text = Field(default="", description="one line: where its parameters come from")
+    materials: dict[Name, MaterialData] = Field(min_length=1, description="at least one [materials.NAME]")
+    particles: dict[Name, Particles] = Field(
+        min_length=1, max_length=MOST_SINGLE, description="at least one [particles.NAME]"
+    )
+    walls: dict[Name, AnyWall] = Field(default_factory=dict, max_length=MOST_WALLS, description="[walls.NAME]")
+    gravity: Acceleration = Field(default=AT_REST, description="[x, y, z] of gravity [m/s²]")
+    periodic: tuple[Axis, ...] = Field(default=(), description='axes in which a box is periodic: ["y"]')
+    layer: Axis | None = Field(
+        default=None,
+        description='"y": one layer of particles, held in its plane; no walls in front and at the back',
+    )
+    gas: Gas | None = Field(default=None, description="[gas]; none: particles only")
+    contact: ContactChoice = Field(default_factory=ContactChoice, description="[contact]")
+    run: RunControl = Field(default_factory=RunControl, description="[run] with until_time or until_bounces")
+    tolerances: dict[Word, Tolerance] = Field(default_factory=dict, description="metric = allowed relative difference")
+    needs: dict[Word, Flag] = Field(default_factory=dict, description="physics = true or false")
+
+    @classmethod
+    def of(cls, spheres: Iterable[Particle], planes: Iterable[Wall] = (), **rest: Any) -> Scene:
+        """Return the scene of these bodies, each a group or a wall of its own; ``rest``: the other fields.
+
+        Raises
+        ------
+        InputError
+            If two different materials have one name.
+        """
+        spheres, planes = tuple(spheres), tuple(planes)
+        found: dict[str, Material] = {}
+        bodies: tuple[Body, ...] = (*spheres, *planes)
+        for material in (body.material for body in bodies):
+            if material is not None and found.setdefault(material.name, material) != material:
+                raise InputError(f"two different materials are called {material.name!r}: expected a name for each")
+        return cls(
+            materials={name: MaterialData(**{key: getattr(m, key) for key in RANGES}) for name, m in found.items()},
+            particles={
+                p.name: Particles(
+                    material=p.material.name,
+                    diameter=2.0 * p.radius,
+                    position=p.position,
+                    velocity=p.velocity,
+                    spin=p.spin,
+                )
+                for p in spheres
+            },
+            walls={
+                w.name: PlaneWall(axis=w.axis, position=w.position, material=w.material.name if w.material else RIGID)
+                for w in planes
+            },
+            **rest,
+        )
+
+    def with_group(self, **changes: Any) -> Scene:
+        """Return a coupled scene with changes of its group of particles."""
+        group = replace(self.group, **changes)
+        return replace(self, particles=dict.fromkeys(self.particles, group))
+
+    def with_box(self, **changes: Any) -> Scene:
+        """Return a coupled scene with changes of its box."""
+        box = replace(self.box, **changes)
+        return replace(self, walls=dict.fromkeys(self.walls, box))
 
     @property
-    def bodies(self) -> tuple[Particle | Wall, ...]:
-        """Particles, then walls, in the order of the case file."""
-        return (*self.particles, *self.walls)
+    def coupled(self) -> bool:
+        """Whether the run goes on in coupling intervals, with gas or without."""
+        return self.run.coupling is not None
 
-    def body_pairs(self) -> tuple[tuple[Particle, Particle | Wall], ...]:
+    @property
+    def front_back(self) -> str:
+        """What bounds the box in y, one of `DEPTHS`; a layer is in the middle."""
+        return "layer" if self.layer else "periodic" if self.periodic else "walls"
+
+    def material(self, name: str) -> Material | None:
+        """Return a material with its checks; None for a rigid wall's."""
+        return None if name == RIGID else self._materials[name]
+
+    @cached_property
+    def _materials(self) -> dict[str, Material]:
+        return {name: Material(name=name, **vars(data)) for name, data in self.materials.items()}
+
+    @cached_property
+    def spheres(self) -> tuple[Particle, ...]:
+        """Every particle, in the order of the case file; of a coupled scene one per group that stands for all of it."""
+        return tuple(sphere for name, group in self.particles.items() for sphere in self._of_group(name, group))
+
+    def _of_group(self, name: str, group: Particles) -> tuple[Particle, ...]:
+        centres = (AT_REST,) if self.coupled else group.centres
+        return tuple(
+            Particle(
+                name=name if len(centres) == 1 else f"{name}.{i}",
+                group=name,
+                material=self._materials[group.material],
+                radius=group.diameter / 2.0,
+                position=position,
+                velocity=group.velocity,
+                spin=group.spin,
+            )
+            for i, position in enumerate(centres, start=1)
+        )
+
+    @cached_property
+    def planes(self) -> tuple[Wall, ...]:
+        """Every plane wall, in the order of the case file; a box stands as its floor."""
+        return tuple(
+            plane
+            for name, wall in self.walls.items()
+            for plane in WALLS[wall.shape].planes(name, wall, self.material(wall.material))
+        )
+
+    @property
+    def bodies(self) -> tuple[Body, ...]:
+        """Particles, then walls, in the order of the case file."""
+        return (*self.spheres, *self.planes)
+
+    def body_pairs(self) -> tuple[tuple[Particle, Body], ...]:
         """Every pair that may touch: particle–particle (i < j) and particle–wall."""
-        spheres = self.particles
-        pairs: list[tuple[Particle, Particle | Wall]] = [
-            (a, b) for i, a in enumerate(spheres) for b in spheres[i + 1 :]
-        ]
-        pairs += [(a, w) for a in spheres for w in self.walls]
+        spheres = self.spheres
+        pairs: list[tuple[Particle, Body]] = [(a, b) for i, a in enumerate(spheres) for b in spheres[i + 1 :]]
+        pairs += [(a, w) for a in spheres for w in self.planes]
         return tuple(pairs)
 
-    def choice_for(self, a: Particle, b: Particle | Wall) -> PairChoice | None:
-        """Return the first exception of the case that names both bodies (or their materials), or None."""
-        return self.contact.exception(names_of(a), names_of(b))
+    def choice_for(self, a: Particle, b: Body) -> PairChoice | None:
+        """Return the first exception of the case that names both bodies (or their group or materials), or None."""
+        return self.contact.exception(a.names, b.names)
+
+    @property
+    def group(self) -> Particles:
+        """The one group of particles of a coupled scene; `InputError` if there are several."""
+        return _only(self.name, "group of particles", list(self.particles.values()))
+
+    @property
+    def box(self) -> BoxWall:
+        """The one box of a coupled scene; `InputError` if there is none."""
+        return _only(self.name, "box", [wall for wall in self.walls.values() if isinstance(wall, BoxWall)])
+
+    @property
+    def density(self) -> float:
+        """Density of the particles of a coupled scene [kg/m³]."""
+        return self.materials[self.group.material].density
+
+    @property
+    def g(self) -> float:
+        """Size of gravity [m/s²]; of a coupled scene it points downwards."""
+        return float(np.linalg.norm(self.gravity))
 
 
-def names_of(body: Particle | Wall) -> tuple[str, str]:
-    """Return the names that an exception of the case knows a body by: its own, and its material's."""
-    return body.name, "rigid" if body.material is None else body.material.name
+def _only(scene: str, what: str, found: list[_T]) -> _T:
+    if len(found) != 1:
+        raise InputError(f"{scene}: {len(found)} times a {what}: expected exactly one")
+    return found[0]

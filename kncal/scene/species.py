@@ -9,10 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from kncal.scene.bed_scene import BedScene
-from kncal.scene.scene import Particle, Scene, Wall, names_of
+from kncal.scene.bodies import Body, Particle, Wall
+from kncal.scene.scene import Scene
 
-Body = Particle | Wall
 #: Two species by number, the first a species of particles and not the larger number.
 SpeciesPair = tuple[int, int]
 #: Names that a line of text holds before it says how many more there are.
@@ -71,18 +70,18 @@ class SpeciesTable:
         return "–".join(names or self.names(pair)) + (f" (and {others} alike)" if others > 0 else "")
 
 
-def species_of(scene: Scene | BedScene) -> SpeciesTable:
+def species_of(scene: Scene) -> SpeciesTable:
     """Return the species of a scene."""
     members: dict[object, list[Body]] = {}
     for body in scene.bodies:
-        names = names_of(body)
+        names = body.names
         named = tuple((one in names, two in names) for one, two in (choice.between for choice in scene.contact.pairs))
         radius = body.radius if isinstance(body, Particle) else None
         members.setdefault((isinstance(body, Wall), body.material, radius, named), []).append(body)
     return SpeciesTable(
         members=tuple(tuple(bodies) for bodies in members.values()),
         index={body.name: number for number, bodies in enumerate(members.values()) for body in bodies},
-        stand_ins=isinstance(scene, BedScene),
+        stand_ins=scene.coupled,
     )
 
 

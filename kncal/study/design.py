@@ -29,12 +29,11 @@ from kncal.core.scratch import scratch
 from kncal.engines.base import Engine
 from kncal.engines.registry import ENGINES, engine_for
 from kncal.runs.solving import plan_checked
-from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import CASE, dump_case, load_case
 from kncal.scene.case_text import read_case
 from kncal.scene.finding import Finding
 from kncal.scene.limits import check
-from kncal.scene.model import KINDS, BedModel, Model
+from kncal.scene.model import KINDS, Plan
 from kncal.scene.overrides import parse_override
 from kncal.scene.scene import Scene
 from kncal.study.points import Point
@@ -243,7 +242,7 @@ def _refusal(refused: Sequence[Refused]) -> CaseFileError:
     return CaseFileError(f"points of the sweep that cannot run; nothing was started:\n{named}{more}")
 
 
-def _checked(scene: Scene | BedScene, kinds: Sequence[str], engine: Engine, draft: Path) -> list[Model | BedModel]:
+def _checked(scene: Scene, kinds: Sequence[str], engine: Engine, draft: Path) -> list[Plan]:
     """Return the models of a scene that can run; refused by planning, limits, or what the engine cannot do."""
     engine.check(scene)
     models = list(plan_checked(scene, kinds).values())
@@ -253,7 +252,7 @@ def _checked(scene: Scene | BedScene, kinds: Sequence[str], engine: Engine, draf
     return models
 
 
-def _warnings(models: Sequence[Model | BedModel]) -> tuple[Finding, ...]:
+def _warnings(models: Sequence[Plan]) -> tuple[Finding, ...]:
     """Return the limits that these models of one run come near to, each kind once."""
     found: dict[str, Finding] = {}
     for model in models:
@@ -309,7 +308,7 @@ def run_folder(folder: Path, run: str) -> Path:
     return folder / RUNS / run
 
 
-def scene_of(folder: Path, sweep: Sweep, run: str) -> Scene | BedScene:
+def scene_of(folder: Path, sweep: Sweep, run: str) -> Scene:
     """Return the scene of one run, from the case in the sweep's folder.
 
     Raises

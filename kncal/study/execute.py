@@ -25,7 +25,6 @@ from kncal.engines.registry import get_engine
 from kncal.runs.folder import read_result
 from kncal.runs.records import MANIFEST
 from kncal.runs.workflow import run_case
-from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import CASE, MOST_BYTES
 from kncal.scene.scene import Scene
 from kncal.study.design import Sweep, identity, read_design, run_folder, scene_of
@@ -189,7 +188,7 @@ def _holds(wanted: Mapping[str, Any], found: Mapping[str, Any]) -> bool:
     )
 
 
-def _run(sweep: Sweep, scene: Scene | BedScene, out: Path) -> None:
+def _run(sweep: Sweep, scene: Scene, out: Path) -> None:
     out.parent.mkdir(exist_ok=True)
     deadline = awake() + PATIENCE
     while True:
@@ -204,7 +203,7 @@ def _run(sweep: Sweep, scene: Scene | BedScene, out: Path) -> None:
             return
 
 
-def _run_case(sweep: Sweep, scene: Scene | BedScene, out: Path) -> None:
+def _run_case(sweep: Sweep, scene: Scene, out: Path) -> None:
     run_case(
         scene,
         get_engine(sweep.engine, sweep.transport, ranks=sweep.ranks, oversubscribe=sweep.oversubscribe),

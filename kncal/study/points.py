@@ -88,7 +88,7 @@ def read_points(path: Path) -> list[Point]:
     try:
         header = [name.strip() for name in next(reader, [])]
         if not any(header):
-            raise InputError(f"--points {path}: empty; expected a first line of keys, e.g. contact.k_n,run.end_time")
+            raise InputError(f"--points {path}: empty; expected a first line of keys, e.g. contact.k_n,run.until_time")
         for row in reader:
             if not row:
                 continue

@@ -25,6 +25,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -40,11 +41,10 @@ from coupling_parts import (
     shipped,
 )
 
-from kncal.engines.base import GasSolver
+from kncal.engines.base import GasSolver, Progress, gas_setup
 from kncal.engines.coupled import GAS, Coupled
 from kncal.engines.dpmfoam.live import LiveGas
-from kncal.engines.drive import Progress, gas_setup
-from kncal.scene.model import BedModel
+from kncal.scene.model import Plan
 from kncal.scene.placement import lattice
 from kncal.scene.plan import plan
 
@@ -54,7 +54,7 @@ ROUNDS = 3
 def split(case: str, seconds: float) -> dict[str, float]:
     """CPU seconds of live runs of ``case``, by part; and what they did."""
     model = linear_model(case, seconds / ROUNDS)
-    x, setup, particles = settled(model), gas_setup(model), model.scene.particles
+    x, setup, group = settled(model), gas_setup(model), model.scene.group
     assert setup is not None
     dems, runs = [], []
     for _ in range(ROUNDS):
@@ -77,7 +77,7 @@ def split(case: str, seconds: float) -> dict[str, float]:
     exchange, alone = sum(added.values()), sum(own.values())
     print(
         f"{case}, live: {n:.0f} couplings of {model.coupling:.4g} s = {model.steps_per_coupling} DEM steps, "
-        f"{particles.count} particles, {math.prod(setup.cells)} cells; CPU ms per coupling"
+        f"{group.number} particles, {math.prod(setup.cells)} cells; CPU ms per coupling"
     )
     for name, value in own.items():
         print(f"  {name + ', by itself':30s} {1e3 * value:8.3f}  {value / (alone + exchange):6.1%}")
@@ -90,14 +90,14 @@ def split(case: str, seconds: float) -> dict[str, float]:
         f"  {once:.2f} s once for the start of both Python processes; share of the exchange in the shipped run of "
         f"{whole_run} couplings, start included: {share:.1%}"
     )
-    per_step = own["LIGGGHTS"] / (model.steps_per_coupling * particles.count)
+    per_step = own["LIGGGHTS"] / (model.steps_per_coupling * group.number)
     print(f"  LIGGGHTS by itself: {1e6 * per_step:.3f} µs per particle and step")
     seconds = n * model.coupling
     return {name: total[name] / seconds for name in ("dem", "gas", "exchange")} | {"per_step": per_step}
 
 
 def one_run(
-    transport: str, model: BedModel, x: np.ndarray, keep: Path | None = None, progress: Progress | None = None
+    transport: str, model: Plan, x: np.ndarray, keep: Path | None = None, progress: Progress | None = None
 ) -> dict[str, float]:
     """CPU seconds of the particles' process, of OpenFOAM's, and of this one, for one run of ``model``."""
     engine = Watched(transport)
@@ -126,8 +126,8 @@ class Watched(Coupled):
 
     gas: GasSolver | None = None
 
-    def _gas(self, model: BedModel, folder: Path) -> GasSolver | None:
-        self.gas = super()._gas(model, folder)
+    def _gas(self, plan: Plan, folder: Path, pass_fds: Sequence[int]) -> GasSolver | None:
+        self.gas = super()._gas(plan, folder, pass_fds)
         return self.gas
 
 
@@ -139,10 +139,10 @@ def mini() -> None:
 def told_by_the_adapter(case: str) -> None:
     """Check the adapter's own account by a plain DPMFoam that runs beside."""
     model = linear_model(case, 0.1)
-    setup, particles = gas_setup(model), model.scene.particles
+    setup, scene = gas_setup(model), model.scene
     assert setup is not None
-    x, density = settled(model), float(particles.material.density)
-    pairs = [gas_pair(setup, x, particles.diameter, density, 100) for _ in range(2 * ROUNDS)]
+    x = settled(model)
+    pairs = [gas_pair(setup, x, scene.group.diameter, scene.density, 100) for _ in range(2 * ROUNDS)]
     live, adapter, difference = (
         1e3 * statistics.median(values) for values in zip(*((a, b, a - c) for a, b, c in pairs), strict=True)
     )
@@ -221,13 +221,12 @@ def growth() -> None:
 def grown(nx: int, ny: int) -> None:
     """One size: cells and column grow together, so do the particles; some couplings from the lattice."""
     small = linear_model("bubbling_bed_mini", 0.01).scene
-    column = small.column
-    a, b = nx / column.cells[0], ny / column.cells[1]
-    scene = replace(
-        small,
-        column=replace(column, width=a * column.width, depth=b * column.depth, cells=(nx, ny, column.cells[2])),
-        particles=replace(small.particles, count=round(a * b * small.particles.count), packing="lattice"),
-    )
+    box, gas = small.box, small.gas
+    assert gas is not None
+    a, b = nx / gas.cells[0], ny / gas.cells[1]
+    cells = (nx, ny, gas.cells[2])
+    scene = replace(small, gas=replace(gas, cells=cells)).with_box(size=(a * box.width, b * box.depth, box.height))
+    scene = scene.with_group(count=round(a * b * small.group.number), place="lattice")
     model = replace(plan(scene, ("linear",))["linear"], couplings=12)
     watch = Watch()
     with tempfile.TemporaryDirectory() as scratch:
@@ -236,7 +235,7 @@ def grown(nx: int, ny: int) -> None:
         raise SystemExit(result.message)
     first, last = 2, model.couplings  # the first couplings start the gas
     cpu = {name: (watch.cpu[last][name] - watch.cpu[first][name]) / (last - first) for name in watch.cpu[last]}
-    told = {"count": scene.particles.count, "cells": math.prod(scene.column.cells), "cpu": cpu, "peak": watch.peak}
+    told = {"count": scene.group.number, "cells": math.prod(cells), "cpu": cpu, "peak": watch.peak}
     print(json.dumps(told))
 
 

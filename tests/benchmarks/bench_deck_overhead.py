@@ -18,29 +18,30 @@ from kncal.core.process import run_process, solver_environment
 from kncal.core.shipped import folder as shipped_folder
 from kncal.engines.liggghts.batch import Liggghts
 from kncal.physics.material import Material
+from kncal.scene.bodies import Particle, Wall
 from kncal.scene.case_file import load_case
-from kncal.scene.model import Model
+from kncal.scene.model import Plan
 from kncal.scene.plan import plan
-from kncal.scene.scene import ContactChoice, Particle, RunControl, Scene, Wall
+from kncal.scene.scene import ContactChoice, RunControl, Scene
 
 GLASS = Material(young=7e10, poisson=0.22, density=2500.0, name="glass")
 
 
 def glass_bead_drop() -> Scene:
     """A 2 mm bead of real glass falls by 1 cm: many steps of flight, one contact of 50 steps."""
-    return Scene(
+    return Scene.of(
         name="glass_bead_drop",
-        particles=(Particle(name="bead", material=GLASS, radius=1e-3, position=(0.0, 0.0, 0.011)),),
-        walls=(Wall(name="floor", axis="z", position=0.0, material=GLASS),),
+        spheres=(Particle(name="bead", material=GLASS, radius=1e-3, position=(0.0, 0.0, 0.011)),),
+        planes=(Wall(name="floor", axis="z", position=0.0, material=GLASS),),
         gravity=(0.0, 0.0, -9.81),
         contact=ContactChoice(e_n=0.9),
         run=RunControl(until_time=0.06),
     )
 
 
-def minimal(model: Model, record: bool) -> str:
+def minimal(model: Plan, record: bool) -> str:
     """The shortest deck that a person would write for one bead over one floor normal to z."""
-    (bead,), (floor,) = model.scene.particles, model.scene.walls
+    (bead,), (floor,) = model.scene.spheres, model.scene.planes
     (contact,) = model.contacts.values()
     z = [bead.position[2], floor.position]
     margin = 4.0 * bead.radius
@@ -110,7 +111,7 @@ def cpu_seconds(folder: Path) -> float:
     return result.cpu_seconds
 
 
-def bench(model: Model, runs: int) -> None:
+def bench(model: Plan, runs: int) -> None:
     """Print the ratios of one model; recording every step is left out where it would write more than 1e5 frames."""
     with tempfile.TemporaryDirectory() as scratch:
         folders = {name: Path(scratch) / name for name in ("rendered", "minimal", "every_step")}

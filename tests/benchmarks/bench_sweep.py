@@ -34,15 +34,13 @@ young = 1e7
 poisson = 0.25
 density = 2500.0
 
-[[particles]]
-name = "bead"
+[particles.bead]
 material = "glass"
 diameter = 0.002
 position = [0.0, 0.0, 0.001001]
 velocity = [0.0, 0.0, -1.0]
 
-[[walls]]
-name = "floor"
+[walls.floor]
 axis = "z"
 position = 0.0
 material = "rigid"

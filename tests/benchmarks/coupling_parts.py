@@ -45,8 +45,8 @@ from kncal.engines.liggghts.impacts import Before
 from kncal.engines.liggghts.library import middle, sides
 from kncal.engines.settle import packing
 from kncal.record.openfoam import write_parcel_constants, write_parcel_motion
-from kncal.scene.bed_case_file import load_bed
-from kncal.scene.model import BedModel
+from kncal.scene.case_file import load_case
+from kncal.scene.model import Plan
 from kncal.scene.plan import plan
 
 #: Couplings in a block: short against the drift of a shared machine, long against the clock.
@@ -66,18 +66,18 @@ class DemPair:
     rest: float
 
 
-def linear_model(case: str, seconds: float) -> BedModel:
+def linear_model(case: str, seconds: float) -> Plan:
     """The linear model of a shipped bed, run for so long."""
-    scene = load_bed(case)
-    return plan(replace(scene, run=replace(scene.run, end_time=seconds)), ("linear",))["linear"]
+    scene = load_case(case)
+    return plan(replace(scene, run=replace(scene.run, until_time=seconds)), ("linear",))["linear"]
 
 
-def shipped(case: str) -> BedModel:
+def shipped(case: str) -> Plan:
     """The linear model of a shipped bed as it is."""
-    return plan(load_bed(case), ("linear",))["linear"]
+    return plan(load_case(case), ("linear",))["linear"]
 
 
-def settled(model: BedModel) -> Array:
+def settled(model: Plan) -> Array:
     """Start positions, kept between runs of the benchmark."""
     return packing(model, Path(tempfile.gettempdir()) / "kncal-bench-packings")
 
@@ -101,22 +101,22 @@ def own_cpu() -> float:
     return usage.ru_utime + usage.ru_stime
 
 
-def dem_pair(model: BedModel, x: Array, rounds: int) -> DemPair:
+def dem_pair(model: Plan, x: Array, rounds: int) -> DemPair:
     """Compare the three modes in a bed that starts at ``x``."""
     with tempfile.TemporaryDirectory() as scratch:
         folder, scene = Path(scratch), model.scene
         write_deck(bed_deck(model, x), folder)
-        layer, periodic = scene.column.front_back == "layer", scene.column.front_back == "periodic"
+        layer, periodic = scene.front_back == "layer", scene.front_back == "periodic"
         given = {
             "deck": DECK,
             "saved": "",
-            "diameter": scene.particles.diameter,
+            "diameter": scene.group.diameter,
             "dt": model.dt,
-            "gravity": scene.gravity,
+            "gravity": scene.g,
             "plane": middle(scene) if layer else None,
-            "period": scene.column.depth if periodic else None,
+            "period": scene.box.depth if periodic else None,
             "sides": sides(scene),
-            "count": scene.particles.count,
+            "count": scene.group.number,
             "steps": model.steps_per_coupling,
         }
         (folder / "given.json").write_text(json.dumps(given))

@@ -97,19 +97,16 @@ TWENTY_MM = """
 young = 1e9
 poisson = 0.25
 density = 2500.0
-[[particles]]
-name = "one"
+[particles.one]
 material = "stone"
 diameter = 0.02
 position = [0.0, 0.0, 0.02]
 velocity = [{speed}, 0.0, 0.0]
-[[particles]]
-name = "two"
+[particles.two]
 material = "stone"
 diameter = 0.02
 position = [0.03, 0.0, 0.02]
-[[walls]]
-name = "floor"
+[walls.floor]
 axis = "z"
 position = 0.0
 material = "rigid"
@@ -173,9 +170,9 @@ def many_spheres(folder, number, unlike):
     text = "[materials.glass]\nyoung = 5e7\npoisson = 0.25\ndensity = 2500.0\n"
     for i in range(number):
         diameter = 0.002 * (1.0 + 0.005 * i * unlike)
-        text += f'[[particles]]\nname = "p{i}"\nmaterial = "glass"\ndiameter = {diameter}\n'
+        text += f'[particles.p{i}]\nmaterial = "glass"\ndiameter = {diameter}\n'
         text += f"position = [{0.01 * (i % 10)}, {0.01 * (i // 10)}, 0.01]\nvelocity = [0.0, 0.0, -0.5]\n"
-    text += '[[walls]]\nname = "floor"\naxis = "z"\nposition = 0.0\nmaterial = "rigid"\n'
+    text += '[walls.floor]\naxis = "z"\nposition = 0.0\nmaterial = "rigid"\n'
     (folder / "case.toml").write_text(text + "[contact]\ne_n = 0.9\n[run]\nuntil_time = 0.001\n")
     return folder
 
@@ -409,4 +406,4 @@ def test_new_names_the_folder_that_cannot_be_a_case_and_marks_what_was_changed(c
 
 def test_python_m_kncal_and_version():
     done = subprocess.run([sys.executable, "-m", "kncal", "--version"], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "0.1.0"
+    assert done.stdout.strip() == "0.2.0"

@@ -13,14 +13,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from kncal.scene.bed_case_checks import problems as bed_problems
 
 import kncal
 from kncal import cli
 from kncal.physics.laws import LAWS
 from kncal.physics.methods import METHODS
 from kncal.scene import bed_schema, case_schema
-from kncal.scene.bed_case_checks import problems as bed_problems
-from kncal.scene.bed_case_file import parse_bed
 from kncal.scene.case_checks import problems
 from kncal.scene.case_file import parse_case, shipped_cases
 from kncal.scene.limits import check
@@ -121,7 +120,7 @@ def test_case_examples_load(page: Path) -> None:
         assert all(model.n_steps > 0 for model in models.values())
     beds = _complete_beds(page)
     for text in beds:
-        for model in plan(parse_bed(text, name="example")).values():
+        for model in plan(parse_case(text, name="example")).values():
             assert model.couplings > 0
             assert not [finding for finding in check(model) if finding.level == "refuse"]
     base = tomllib.loads((beds or _complete(page) or _complete(CASE_FILE))[0])

@@ -7,13 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from models import with_bodies
 
 from kncal import Material, RenderError
 from kncal.engines.liggghts.deck_block import case_block, liggghts_block
 from kncal.engines.liggghts.deck_tables import AtomType
+from kncal.scene.bodies import Particle, Wall
 from kncal.scene.case_file import load_case
 from kncal.scene.plan import plan
-from kncal.scene.scene import ContactChoice, PairChoice, Particle, Scene, Wall
+from kncal.scene.scene import ContactChoice, PairChoice, Scene
 
 GLASS = Material(young=7e9, poisson=0.22, density=2500.0, name="glass")
 STEEL = Material(young=2.1e11, poisson=0.3, density=7800.0, name="steel")
@@ -25,10 +27,10 @@ def bead(name: str, z: float, radius: float = 1e-3) -> Particle:
     )
 
 
-SCENE = Scene(
+SCENE = Scene.of(
     name="s",
-    particles=(bead("a", 0.01), bead("b", 0.05, 5e-3), bead("c", 0.04), bead("odd", 0.06)),
-    walls=(Wall(name="floor", axis="z", position=0.0, material=STEEL), Wall(name="lid", axis="z", position=0.1)),
+    spheres=(bead("a", 0.01), bead("b", 0.05, 5e-3), bead("c", 0.04), bead("odd", 0.06)),
+    planes=(Wall(name="floor", axis="z", position=0.0, material=STEEL), Wall(name="lid", axis="z", position=0.1)),
     contact=ContactChoice(e_n=0.9, v_0=1.0, friction=0.3, pairs=(PairChoice(between=("odd", "steel"), e_n=0.5),)),
 )
 
@@ -73,7 +75,7 @@ def test_pairs_that_never_meet_in_the_case_have_their_own_numbers():
 def test_the_block_of_a_bed_has_its_particles_and_walls():
     scene = load_case("bubbling_bed_mini")
     names, table = tables(case_block(scene))
-    assert names == ["particles", "walls"]
+    assert names == ["beads", "column"]
     assert table["kt"][0, 0] == pytest.approx(table["kn"][0, 0] * 2.0 / 7.0, rel=1e-5)
     assert (table["coefficientFriction"] == 0.1).all()
     # a wall of the same material: k_n 2^0.6 times, gamman (2 zeta sqrt(k/m)) 2^(-0.2) times that of two particles
@@ -99,9 +101,9 @@ def test_a_pair_without_numbers_is_named_and_a_contact_of_another_kind_refused()
     with pytest.raises(RenderError, match="hertz"):
         liggghts_block(types, dict.fromkeys([("ball", "ball"), ("w", "ball")], given.between("a", "b")), "hertz")
     # alone with a wall that it is at rest on, k_n for that pair only
-    resting = replace(
+    resting = with_bodies(
         SCENE,
-        particles=(replace(SCENE.particles[0], position=(0.0, 0.0, 1e-3), velocity=(0.0, 0.0, 0.0)),),
+        spheres=(replace(SCENE.spheres[0], position=(0.0, 0.0, 1e-3), velocity=(0.0, 0.0, 0.0)),),
         contact=ContactChoice(e_n=0.9, pairs=tuple(PairChoice(between=("a", w), k_n=1e5) for w in ("floor", "lid"))),
     )
     _, table = tables(case_block(resting))

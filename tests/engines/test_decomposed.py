@@ -26,7 +26,6 @@ from kncal.record.openfoam import read_cells, write_parcel_constants, write_parc
 from kncal.record.series import read_series
 from kncal.runs.folder import read_manifest
 from kncal.runs.workflow import run_case
-from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import load_case
 
 pytestmark = [
@@ -145,9 +144,8 @@ def test_a_gas_step_that_is_stopped_counts_as_interrupted(ranks: int, tmp_path: 
 
 def test_a_frozen_bed_runs_on_two_ranks_from_its_case_to_its_series(tmp_path: Path) -> None:
     scene = load_case("packed_bed")
-    assert isinstance(scene, BedScene)
-    particles = replace(scene.particles, count=400, packing="lattice")
-    scene = replace(scene, particles=particles, run=replace(scene.run, end_time=1e-3, frames_every=1e-3), tolerances={})
+    scene = scene.with_group(count=400, place="lattice")
+    scene = replace(scene, run=replace(scene.run, until_time=1e-3, frames_every=1e-3), tolerances={})
     series = []
     for ranks in (1, 2):
         out = tmp_path / str(ranks)

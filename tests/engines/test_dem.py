@@ -11,10 +11,11 @@ import threading
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from beds import D, G, column, mass, model, scene, still, weight
+from beds import BOX, D, G, mass, model, scene, still, weight
 from scipy.spatial import cKDTree
 
 from kncal.core.checks import Array
@@ -22,21 +23,23 @@ from kncal.core.errors import InputError, RenderError, RunError
 from kncal.engines.liggghts import library as dem_module
 from kncal.engines.liggghts.deck import bed_deck, deck_text
 from kncal.engines.liggghts.library import LOG, LiggghtsDem
-from kncal.scene.model import KINDS, BedModel
+from kncal.scene.model import KINDS, Plan
 from kncal.scene.placement import lattice
-from kncal.scene.scene import ContactChoice
+from kncal.scene.scene import AT_REST, ContactChoice
 
 solver = pytest.mark.solver
 ROUGH = ContactChoice(e_n=0.8, friction=0.3, rolling_friction=0.02)
 SMOOTH = ContactChoice(e_n=0.8)
-LAYER = column(front_back="layer", depth=D, width=0.03)
+LAYER = {"box": replace(BOX, size=(0.03, D, 0.06)), "layer": "y"}
+#: A bed with more room above it.
+TALL = replace(BOX, size=(0.015, 0.006, 0.3))
 #: Numbers of the normal law, all that may differ between the decks of the two models.
 NORMAL_LAW = {"kn", "kt", "gamman_abs", "gammat_abs", "youngsModulus", "poissonsRatio", "coefficientRestitution"}
 
 
-def stirring(given: BedModel, intervals: int, seed: int = 0) -> Array:
+def stirring(given: Plan, intervals: int, seed: int = 0) -> Array:
     """Forces (intervals, n, 3) that keep a bed moving: 0.7 of the weight up, twice the weight at random."""
-    n, unit = given.scene.particles.count, mass(given.scene) * G
+    n, unit = given.scene.group.number, mass(given.scene) * G
     return unit * np.random.default_rng(seed).normal([0.0, 0.0, 0.7], 2.0, (intervals, n, 3))
 
 
@@ -79,7 +82,7 @@ def test_a_law_that_liggghts_has_not_is_refused() -> None:
 
 def test_a_thin_periodic_column_is_refused() -> None:
     with pytest.raises(RenderError, match="periodic depth"):
-        deck_text(bed_deck(model(scene(box=column(front_back="periodic", depth=2.0 * D)))))
+        deck_text(bed_deck(model(scene(box=replace(BOX, size=(0.015, 2.0 * D, 0.06)), periodic=("y",)))))
 
 
 @solver
@@ -98,9 +101,7 @@ def test_the_deck_runs_by_hand(tmp_path: Path) -> None:
 @pytest.mark.parametrize("side", [0.1, 50.0])
 def test_a_large_column_costs_no_more(count: int, side: float, tmp_path: Path) -> None:
     """A few grains of 0.1 mm fall alike in a column of any size; 1e12 bins of their size would fit into the largest."""
-    box = column(width=side, depth=side, height=side)
-    bed = scene(count, box)
-    bed = replace(bed, particles=replace(bed.particles, diameter=1e-4))
+    bed = scene(count, box=replace(BOX, size=(side, side, side))).with_group(diameter=1e-4)
     given = model(bed, dt=1e-6)
     start = lattice(bed) + np.array([0.01, 0.01, 0.05])
     with LiggghtsDem(given, tmp_path, start) as dem:
@@ -120,7 +121,7 @@ def test_collisions_in_a_large_column_are_those_in_a_small_one(tmp_path: Path) -
     start = lattice(bed)
     ends = []
     for side in (0.06, 6.0):
-        given = model(scene(60, column(height=side)))
+        given = model(scene(60, box=replace(BOX, size=(0.015, 0.006, side))))
         with LiggghtsDem(given, tmp_path / f"{side:g}", start) as dem:
             dem.run(4000, still(bed))
             ends.append(dem.state()[0])
@@ -134,7 +135,7 @@ def test_collisions_in_a_large_column_are_those_in_a_small_one(tmp_path: Path) -
 @solver
 def test_free_flight_is_exact(tmp_path: Path) -> None:
     """Verlet is exact for a constant acceleration; a new force comes in with half a step of the old one."""
-    given = model(scene(8, column(height=0.3)))
+    given = model(scene(8, box=TALL))
     bed, dt = given.scene, given.dt
     x0 = lattice(bed) + np.array([0.0, 0.0, 0.2])
     v0 = np.zeros_like(x0)
@@ -180,7 +181,7 @@ def test_friction_at_a_side_wall(tmp_path: Path) -> None:
     """A particle pressed against a side wall slides down: the wall carries friction times the pressing force."""
     given = model(scene(1, contact=ContactChoice(e_n=0.3, friction=0.2)), dt=5e-6)
     press = 0.5 * mass(given.scene) * G
-    c = given.between("particles", "walls")
+    c = given.between("beads", "column")
     start = np.array([[0.015 - 0.5 * D + press / c.k, 0.003, 0.05]])
     with LiggghtsDem(given, tmp_path, start) as dem:
         dem.run(2000, np.array([[press, 0.0, 0.0]]))
@@ -192,7 +193,7 @@ def test_friction_at_a_side_wall(tmp_path: Path) -> None:
 @solver
 def test_rows_keep_their_particles(tmp_path: Path) -> None:
     """However LIGGGHTS sorts: each row moves by its own velocity, and a push reaches the particle it is meant for."""
-    bed = scene(300, column(width=0.03, depth=0.01), contact=SMOOTH, gravity=0.0)
+    bed = scene(300, box=replace(BOX, size=(0.03, 0.01, 0.06)), contact=SMOOTH, gravity=AT_REST)
     given = model(bed)
     x0 = lattice(bed)
     v0 = np.random.default_rng(3).normal(0.0, 0.5, x0.shape)
@@ -217,7 +218,7 @@ def test_rows_keep_their_particles(tmp_path: Path) -> None:
 @solver
 def test_a_layer_stays_in_its_plane(tmp_path: Path) -> None:
     """Two seconds of a moving layer, pushed across its plane too: not one bit changes there."""
-    bed = scene(200, LAYER, contact=ROUGH)
+    bed = scene(200, **LAYER, contact=ROUGH)
     given = model(bed, k_n=20.0, dt=4e-5)
     forces = stirring(given, 500)
     moved = 0.0
@@ -234,7 +235,7 @@ def test_a_layer_stays_in_its_plane(tmp_path: Path) -> None:
 
 @solver
 def test_a_layer_off_its_plane_is_refused(tmp_path: Path) -> None:
-    given = model(scene(20, LAYER))
+    given = model(scene(20, **LAYER))
     x = lattice(given.scene)
     with pytest.raises(InputError, match="plane"):
         LiggghtsDem(given, tmp_path, x + np.array([0.0, 1e-12, 0.0]))
@@ -250,7 +251,7 @@ def test_a_layer_off_its_plane_is_refused(tmp_path: Path) -> None:
 @solver
 @pytest.mark.parametrize("depth", ["walls", "periodic"])
 def test_overlap_statistics_are_those_of_the_positions(tmp_path: Path, depth: str) -> None:
-    bed = scene(300, column(front_back=depth), contact=ROUGH)
+    bed = scene(300, periodic=("y",) if depth == "periodic" else (), contact=ROUGH)
     given = model(bed)
     with LiggghtsDem(given, tmp_path, lattice(bed)) as dem:
         empty = dem.run(1, still(bed))
@@ -258,11 +259,11 @@ def test_overlap_statistics_are_those_of_the_positions(tmp_path: Path, depth: st
         step = dem.run(1, still(bed))  # one look, at the end of the step
         x, _ = dem.state()
     assert (empty.contacts, empty.overlap_max, empty.overlap_mean, empty.histogram.sum()) == (0.0, 0.0, 0.0, 0.0)
-    box = [1.0, bed.column.depth, 1.0] if depth == "periodic" else None
+    box = [1.0, bed.box.depth, 1.0] if depth == "periodic" else None
     pairs = cKDTree(x, boxsize=box).query_pairs(D, output_type="ndarray")
     apart = x[pairs[:, 0]] - x[pairs[:, 1]]
     if box is not None:
-        apart[:, 1] -= bed.column.depth * np.round(apart[:, 1] / bed.column.depth)
+        apart[:, 1] -= bed.box.depth * np.round(apart[:, 1] / bed.box.depth)
     overlaps = D - np.linalg.norm(apart, axis=1)
     assert step.contacts == len(overlaps) > 300
     assert step.overlap_max == pytest.approx(overlaps.max(), rel=1e-10)
@@ -277,14 +278,14 @@ def test_overlap_statistics_are_those_of_the_positions(tmp_path: Path, depth: st
 
 @solver
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("box", [column(), column(front_back="periodic"), LAYER], ids=["walls", "periodic", "layer"])
-def test_a_continued_run_repeats_the_saved_one(tmp_path: Path, kind: str, box: object) -> None:
+@pytest.mark.parametrize("sides", [{}, {"periodic": ("y",)}, LAYER], ids=["walls", "periodic", "layer"])
+def test_a_continued_run_repeats_the_saved_one(tmp_path: Path, kind: str, sides: dict[str, Any]) -> None:
     """Bit by bit; and a run that was never saved differs by rounding at most.
 
     The latter needs contacts that are forgotten when they open: else the next one's spring would depend on when
     neighbour lists were made.
     """
-    bed = scene(300, box, contact=ROUGH)  # type: ignore[arg-type]
+    bed = scene(300, **sides, contact=ROUGH)
     given = model(bed, kind)
     forces = stirring(given, 80)
     floor: dict[str, list[float]] = {"saved": [], "continued": []}
@@ -409,7 +410,7 @@ def test_the_error_of_liggghts_reaches_the_user(tmp_path: Path, nothing_left: ob
 @solver
 def test_two_particles_in_one_place(tmp_path: Path, nothing_left: object) -> None:
     """LIGGGHTS computes NaN from there to the end, with exit code 0."""
-    bed = scene(2, gravity=0.0)
+    bed = scene(2, gravity=AT_REST)
     x = np.full((2, 3), 3e-3)
     with pytest.raises(RunError, match="not finite"), LiggghtsDem(model(bed), tmp_path, x) as dem:
         dem.run(10, still(bed))
@@ -442,7 +443,7 @@ def test_the_child_dies_with_its_parent(tmp_path: Path) -> None:
 
 @solver
 def test_the_log_stays_small(tmp_path: Path) -> None:
-    bed = scene(5, column(height=0.3))
+    bed = scene(5, box=TALL)
     with LiggghtsDem(model(bed), tmp_path, lattice(bed)) as dem:
         start = (tmp_path / LOG).stat().st_size
         for _ in range(1500):

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from models import with_bodies
 
 from kncal.core.errors import CaseFileError, RenderError, ValidityError
 from kncal.engines.liggghts.batch import Liggghts
@@ -21,13 +22,14 @@ from kncal.physics.timestep import predict_error, verlet_limit
 from kncal.record.frames import Trajectory
 from kncal.runs.solving import plan_checked
 from kncal.runs.workflow import load, run_case
+from kncal.scene.bodies import Particle, Wall
 from kncal.scene.case_file import load_case, parse_case
 from kncal.scene.contact_limits import overlap_at
 from kncal.scene.finding import Finding
 from kncal.scene.limits import check, warnings_of
-from kncal.scene.model import Model
+from kncal.scene.model import Plan
 from kncal.scene.plan import plan
-from kncal.scene.scene import ContactChoice, Particle, RunControl, Scene, Wall
+from kncal.scene.scene import ContactChoice, RunControl, Scene
 from kncal.study.stability.outcome import Outcome, judge
 from kncal.study.stability.probes import at_step, impact_of_cluster, ingredients, pressed
 
@@ -51,7 +53,7 @@ def _bare(radius: float, v: float, material: Material, contact: ContactChoice, g
         name="ball", material=material, radius=radius, position=(0.0, 0.0, radius + gap), velocity=(0.0, 0.0, -v)
     )
     floor = Wall(name="floor", axis="z", position=0.0)
-    return Scene(name="extreme", particles=(ball,), walls=(floor,), contact=contact, run=RunControl(until_bounces=1))
+    return Scene.of(name="extreme", spheres=(ball,), planes=(floor,), contact=contact, run=RunControl(until_bounces=1))
 
 
 def pair(ratio: float, v: float = 0.5) -> Scene:
@@ -59,7 +61,9 @@ def pair(ratio: float, v: float = 0.5) -> Scene:
     r, big = 1e-3, ratio * 1e-3
     small = Particle(name="small", material=GLASS, radius=r, position=(-r - 1e-9, 0.0, 0.0), velocity=(v, 0.0, 0.0))
     large = Particle(name="large", material=GLASS, radius=big, position=(big, 0.0, 0.0))
-    return Scene(name="pair", particles=(small, large), contact=ContactChoice(e_n=0.7), run=RunControl(until_bounces=1))
+    return Scene.of(
+        name="pair", spheres=(small, large), contact=ContactChoice(e_n=0.7), run=RunControl(until_bounces=1)
+    )
 
 
 def simulate(scene: Scene, folder: Path, kinds: tuple[str, ...] = ("linear", "hertz")) -> dict[str, Outcome]:
@@ -133,7 +137,7 @@ def test_twelve_neighbours_at_once(kind: str, tmp_path: Path) -> None:
     assert outcome.numbers["energy_change"] < 0.0
 
 
-def liggghts(model: Model, folder: Path) -> tuple[Model, Trajectory]:
+def liggghts(model: Plan, folder: Path) -> tuple[Plan, Trajectory]:
     """Run a model as it is, whatever is said about it."""
     folder.mkdir()
     engine = Liggghts()
@@ -173,8 +177,8 @@ def test_few_steps_with_strong_damping_are_said() -> None:
 
 def test_a_start_inside_another_body_is_said() -> None:
     scene = on_wall()
-    (ball,) = scene.particles
-    inside = replace(scene, particles=(replace(ball, position=(0.0, 0.0, 0.6e-3)),))
+    (ball,) = scene.spheres
+    inside = with_bodies(scene, spheres=(replace(ball, position=(0.0, 0.0, 0.6e-3)),))
     inside = replace(inside, contact=replace(scene.contact, v_0=0.5), run=RunControl(until_time=1e-5))
     assert "start-overlap" in codes(inside)
 
@@ -205,14 +209,14 @@ def test_an_overlap_of_a_radius_is_refused() -> None:
 def test_a_scene_faster_than_its_v_0_is_refused_if_it_goes_through(kind: str) -> None:
     """The contact of 1 mm/s, met at 100 m/s: the overlap as v, or v^(4/5), reaches the radius."""
     slow = on_wall(v=0.001, material=SOFT, v_0=0.001)
-    (ball,) = slow.particles
+    (ball,) = slow.spheres
     contact = plan(slow)[kind].between("ball", "floor")
     assert (overlap_at(contact, 100.0) or 0.0) > 1e-3
-    fast = replace(slow, particles=(replace(ball, velocity=(0.0, 0.0, -100.0)),))
+    fast = with_bodies(slow, spheres=(replace(ball, velocity=(0.0, 0.0, -100.0)),))
     with pytest.raises(CaseFileError, match="goes through"):
         plan(fast, (kind,))
     # ten times faster than said is no reason to refuse: the overlap is still small
-    plan(replace(slow, particles=(replace(ball, velocity=(0.0, 0.0, -0.01)),)), (kind,))
+    plan(with_bodies(slow, spheres=(replace(ball, velocity=(0.0, 0.0, -0.01)),)), (kind,))
 
 
 CASE = """
@@ -220,14 +224,12 @@ CASE = """
 young = 7e10
 poisson = 0.22
 density = 2500.0
-[[particles]]
-name = "a"
+[particles.a]
 material = "glass"
 diameter = 0.002
 position = [0.0, 0.0, 0.0]
 velocity = [1.0, 0.0, 0.0]
-[[particles]]
-name = "b"
+[particles.b]
 material = "glass"
 diameter = 0.002
 position = [{x}, 0.0, 0.0]
@@ -284,9 +286,9 @@ def test_hertz_with_more_damping_than_liggghts_has(tmp_path: Path) -> None:
 def bed(share: float) -> tuple[Finding, ...]:
     """What is said about a bed whose lowest particles overlap by this share of d, by weight over stiffness."""
     scene = load_case("bubbling_bed_mini")
-    d, column = scene.particles.diameter, scene.column
-    layers = scene.particles.count * d**2 / (column.width * column.depth)
-    weight = 1000.0 * math.pi / 6.0 * d**3 * scene.gravity
+    d, box = scene.group.diameter, scene.box
+    layers = scene.group.number * d**2 / (box.width * box.depth)
+    weight = 1000.0 * math.pi / 6.0 * d**3 * scene.g
     contact = replace(scene.contact, k_n=layers * weight / (share * d), v_0=1e-3)
     scene = replace(scene, contact=contact, run=replace(scene.run, steps_per_contact=50.0))
     if share >= 0.5:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from beds import D, G, column, model, scene, still
+from beds import BOX, D, G, model, scene, still
 from scipy.optimize import brentq
 
 from kncal.core.checks import Array
@@ -17,7 +17,7 @@ from kncal.engines.liggghts.library import LiggghtsDem
 from kncal.engines.liggghts.library_child import WATCH_EVERY
 from kncal.scene.model import KINDS
 from kncal.scene.placement import lattice
-from kncal.scene.scene import ContactChoice
+from kncal.scene.scene import AT_REST, ContactChoice
 
 solver = pytest.mark.solver
 SMOOTH, ELASTIC = ContactChoice(e_n=0.9), ContactChoice(e_n=1.0)
@@ -88,7 +88,7 @@ def test_every_speed_is_counted_in_its_bin() -> None:
 def test_drops_hit_the_floor_at_the_speed_of_their_fall(tmp_path: Path, kind: str) -> None:
     """Free flight is exact in LIGGGHTS: v_0 = sqrt(2 g h), whatever the contact law; no drop that is due is missed."""
     grid = np.stack(np.meshgrid(1.25 * D * (0.6 + np.arange(9)), 1.25 * D * (0.6 + np.arange(3))), -1).reshape(-1, 2)
-    bed = scene(len(grid), column(height=0.03), contact=SMOOTH)
+    bed = scene(len(grid), box=replace(BOX, size=(0.015, 0.006, 0.03)), contact=SMOOTH)
     given = model(bed, kind)
     rounds = 25 + np.arange(len(grid))
     # every third comes down half way between two steps that are watched
@@ -117,9 +117,9 @@ def test_drops_hit_the_floor_at_the_speed_of_their_fall(tmp_path: Path, kind: st
 @solver
 def test_oblique_pairs_meet_at_their_normal_speed(tmp_path: Path) -> None:
     """In free flight: v_0 = w sqrt(1 - (b/d)²) for the offset b; also across the periodic sides."""
-    box = column(front_back="periodic", width=0.06, depth=0.006, height=0.06)
+    box = replace(BOX, size=(0.06, 0.006, 0.06))
     offsets = np.array([0.0, 0.3, 0.6, 0.9]) * D
-    bed = scene(8, box, contact=SMOOTH, gravity=0.0)
+    bed = scene(8, box=box, periodic=("y",), contact=SMOOTH, gravity=AT_REST)
     given = model(bed)
     speed = np.array([0.1, 0.4, 1.0, 2.0])
     time = (3 * WATCH_EVERY - 0.5) * given.dt
@@ -147,8 +147,8 @@ def test_impacts_in_a_gas_are_those_of_kinetic_theory(tmp_path: Path, kind: str)
     That is exact in equilibrium for spheres of any hardness, since positions and velocities are independent.
     """
     n, side = 1000, 0.0145
-    box = column(front_back="periodic", width=side, depth=side, height=side)
-    bed = scene(n, box, contact=ELASTIC, gravity=0.0)
+    box = replace(BOX, size=(side, side, side))
+    bed = scene(n, box=box, periodic=("y",), contact=ELASTIC, gravity=AT_REST)
     given = model(bed, kind, k_n=2000.0, dt=4e-6)
     sites = np.stack(np.meshgrid(*[np.arange(10)] * 3, indexing="ij"), -1).reshape(-1, 3)
     x = (sites + 0.5) * side / 10

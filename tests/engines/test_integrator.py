@@ -9,33 +9,34 @@ from pathlib import Path
 import numpy as np
 import pytest
 from handmade_decks import rebound_and_overlap, run
-from models import GLASS, R, finer, head_on, mass, model, on_wall
+from models import GLASS, R, finer, head_on, mass, model, on_wall, with_bodies
 
 from kncal.core.errors import RenderError, RunError
 from kncal.engines.builtin import Builtin
 from kncal.engines.builtin.integrator import integrate
 from kncal.observe.contacts import observe
 from kncal.record.frames import Trajectory
+from kncal.scene.bodies import Particle, Wall
 from kncal.scene.exact import solve
-from kncal.scene.model import Model
-from kncal.scene.scene import Particle, Scene, Wall
+from kncal.scene.model import Plan
+from kncal.scene.scene import Scene
 
 KINDS = ("linear", "hertz")
 
 
 def oblique_pair(radius_2: float = R) -> Scene:
     scene = head_on(radius_2=radius_2)
-    first, second = scene.particles
+    first, second = scene.spheres
     moved = dataclasses.replace(
         second,
         position=(R + radius_2 - 1e-6, 2e-4, 1e-4),
         velocity=(-0.7, 0.5, 0.2),
         spin=(10.0, 300.0, 20.0),
     )
-    return dataclasses.replace(scene, particles=(first, moved))
+    return with_bodies(scene, spheres=(first, moved))
 
 
-def rebound(given: Model) -> float:
+def rebound(given: Plan) -> float:
     leaving, _ = rebound_and_overlap(given, *_x_v(integrate(given)))
     return leaving
 
@@ -71,7 +72,7 @@ def test_elastic_linear_impact_keeps_the_discrete_energy(n: float, gap: float) -
 def test_pair_keeps_momentum_and_angular_momentum(kind: str) -> None:
     scene = oblique_pair(radius_2=2 * R)
     trajectory = integrate(model(scene, kind, t_end=6e-4, e_n=0.7, friction=0.4))
-    m = np.array([mass(p) for p in scene.particles])
+    m = np.array([mass(p) for p in scene.spheres])
     inertia = 0.4 * m * trajectory.radius**2
     momentum = np.einsum("i,fik->fk", m, trajectory.v)
     orbital = np.cross(trajectory.x, m[:, None] * trajectory.v).sum(axis=1)
@@ -107,7 +108,7 @@ def test_small_steps_lead_to_the_exact_motion(kind: str, end: str, scene: Scene)
     given = model(scene, kind, t_end=5e-4, e_n=0.8, end=end)
     exact = solve(given, given.t_end)
 
-    def distance(m: Model) -> float:
+    def distance(m: Plan) -> float:
         run_ = integrate(m)
         inside = run_.t <= exact.t_end
         return float(np.abs(run_.x[inside] - exact.at(run_.t[inside])[0]).max())
@@ -123,12 +124,12 @@ def test_walls_on_every_axis_and_side_are_the_same(kind: str) -> None:
         index = "xyz".index(axis)
         position, velocity, gravity = [0.0] * 3, [0.0] * 3, [0.0] * 3
         position[index], velocity[index], gravity[index] = side * 1.01 * R, -side * 0.5, -side * 9.81
-        scene = Scene(
+        scene = Scene.of(
             name="mirror",
-            particles=(
+            spheres=(
                 Particle(name="p", material=GLASS, radius=R, position=tuple(position), velocity=tuple(velocity)),  # type: ignore[arg-type]
             ),
-            walls=(Wall(name="w", axis=axis, position=0.0, material=GLASS),),
+            planes=(Wall(name="w", axis=axis, position=0.0, material=GLASS),),
             gravity=tuple(gravity),  # type: ignore[arg-type]
         )
         m = model(scene, kind, t_end=8e-4, e_n=0.8)
@@ -144,9 +145,9 @@ def test_oblique_wall_contact_turns_with_the_axes(kind: str) -> None:
             x, y, z = np.roll([a, b, c], shift).tolist()
             return x, y, z
 
-        scene = Scene(
+        scene = Scene.of(
             name="turned",
-            particles=(
+            spheres=(
                 Particle(
                     name="p",
                     material=GLASS,
@@ -156,7 +157,7 @@ def test_oblique_wall_contact_turns_with_the_axes(kind: str) -> None:
                     spin=turned(5.0, -70.0, 20.0),
                 ),
             ),
-            walls=(Wall(name="w", axis="xyz"[(2 + shift) % 3], position=0.0, material=GLASS),),
+            planes=(Wall(name="w", axis="xyz"[(2 + shift) % 3], position=0.0, material=GLASS),),
         )
         run_ = integrate(model(scene, kind, t_end=5e-4, e_n=0.8, friction=0.3))
         return np.roll(np.concatenate([run_.x, run_.v, run_.spin], axis=1), -shift, axis=2)
@@ -169,10 +170,10 @@ def test_oblique_wall_contact_turns_with_the_axes(kind: str) -> None:
 def test_a_common_velocity_changes_nothing(kind: str) -> None:
     scene = oblique_pair()
     drift = np.array([0.4, -0.2, 0.3])
-    moving = dataclasses.replace(
+    moving = with_bodies(
         scene,
-        particles=tuple(
-            dataclasses.replace(p, velocity=tuple((np.array(p.velocity) + drift).tolist())) for p in scene.particles
+        spheres=tuple(
+            dataclasses.replace(p, velocity=tuple((np.array(p.velocity) + drift).tolist())) for p in scene.spheres
         ),
     )
     a, b = (integrate(model(s, kind, t_end=5e-4, e_n=0.7, friction=0.4)) for s in (scene, moving))
@@ -217,7 +218,7 @@ def test_a_bead_knocked_on_by_a_heavy_ball_is_seen_at_the_wall() -> None:
     heavy = Particle(name="heavy", material=GLASS, radius=2e-3, position=(-2.3e-3, 0.0, 0.0), velocity=(1.0, 0.0, 0.0))
     light = Particle(name="light", material=GLASS, radius=2e-4, position=(0.0, 0.0, 0.0))
     wall = Wall(name="wall", axis="x", position=1.2e-2, material=None)
-    scene = Scene(name="knock", particles=(heavy, light), walls=(wall,))
+    scene = Scene.of(name="knock", spheres=(heavy, light), planes=(wall,))
     given = model(scene, "linear", t_end=1e-2, flight_every=10_000)
     contacts = observe(given, integrate(given)).contacts
     assert [c.pair for c in contacts[:2]] == [("heavy", "light"), ("light", "wall")]
@@ -251,7 +252,7 @@ def test_friction_stays_within_the_coulomb_limit_and_reaches_it() -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_stuck_contact_swings_at_its_own_frequency(kind: str) -> None:
     # rolling is 7/2 times as light as sliding: omega_t² = (7/2) k_t/m for the velocity of the contact point
-    m = mass(on_wall().particles[0])
+    m = mass(on_wall().spheres[0])
     contact = model(on_wall(), kind, t_end=1.0).between("bead", "floor")
     delta = (m * 9.81 / contact.k) ** (1.0 / contact.n)
     k_t = contact.k_t * (math.sqrt(delta) if kind == "hertz" else 1.0)

@@ -14,9 +14,10 @@ from kncal.engines.liggghts.batch import Liggghts, _look
 from kncal.physics.material import Material, sphere_mass
 from kncal.record.frames import Trajectory
 from kncal.record.liggghts_dump import read_dump
-from kncal.scene.model import KINDS, Model, PairContact
+from kncal.scene.bodies import Particle, Wall
+from kncal.scene.model import KINDS, PairContact, Plan
 from kncal.scene.plan import plan
-from kncal.scene.scene import ContactChoice, PairChoice, Particle, RunControl, Scene, Wall
+from kncal.scene.scene import ContactChoice, PairChoice, RunControl, Scene
 
 pytestmark = pytest.mark.solver
 
@@ -26,7 +27,7 @@ RUBBER = Material(young=1e6, poisson=0.45, density=1100.0, name="rubber")
 R = 1e-3
 
 
-def simulate(model: Model, folder: Path, style: str = "hooke/stiffness") -> Trajectory:
+def simulate(model: Plan, folder: Path, style: str = "hooke/stiffness") -> Trajectory:
     engine = Liggghts(style)
     engine.render(model, folder)
     result = engine.run(model, folder, timeout=60.0)
@@ -38,7 +39,7 @@ def simulate(model: Model, folder: Path, style: str = "hooke/stiffness") -> Traj
 
 
 def verlet(
-    contact: PairContact, mass: list[float], reach: float, x: list[float], v: list[float], model: Model
+    contact: PairContact, mass: list[float], reach: float, x: list[float], v: list[float], model: Plan
 ) -> tuple[list[float], float]:
     """Velocities at the end and largest overlap of two bodies, x[0] < x[1]; a wall is a body of infinite mass.
 
@@ -78,10 +79,10 @@ def four_impacts(end: str) -> Scene:
         Wall(name="side", axis="y", position=-0.02),
     )
     exceptions = (PairChoice(between=("c", "floor"), e_n=0.6), PairChoice(between=("d", "lid"), e_n=0.75))
-    return Scene(
+    return Scene.of(
         name="four_impacts",
-        particles=beads,
-        walls=walls,
+        spheres=beads,
+        planes=walls,
         contact=ContactChoice(e_n=0.9, end=end, v_0=1.0, pairs=exceptions),
         run=RunControl(until_time=1.2e-4, steps_per_contact=100.0),
     )
@@ -93,8 +94,8 @@ def test_pair_and_wall_impacts_are_the_models(tmp_path: Path, kind: str, end: st
     scene = four_impacts(end)
     model = plan(scene, [kind])[kind]
     frames = simulate(model, tmp_path)
-    beads = {p.name: p for p in scene.particles}
-    index = {p.name: i for i, p in enumerate(scene.particles)}
+    beads = {p.name: p for p in scene.spheres}
+    index = {p.name: i for i, p in enumerate(scene.spheres)}
 
     def check(names: tuple[str, str], axis: int, wall: float | None) -> float:
         a, b = beads[names[0]], beads.get(names[1])
@@ -134,10 +135,10 @@ def test_scale_does_not_matter(tmp_path: Path, size: float) -> None:
     rebound = []
     for radius in (R, size):
         bead = Particle(name="a", material=GLASS, radius=radius, position=(0, 0, 1.01 * radius), velocity=(0, 0, -1.0))
-        scene = Scene(
+        scene = Scene.of(
             name="sized",
-            particles=(bead,),
-            walls=(Wall(name="floor", axis="z", position=0.0, material=GLASS),),
+            spheres=(bead,),
+            planes=(Wall(name="floor", axis="z", position=0.0, material=GLASS),),
             contact=ContactChoice(e_n=0.8, v_0=1.0),
             run=RunControl(until_time=0.06 * radius, steps_per_contact=50.0),
         )
@@ -169,10 +170,10 @@ def test_hooke_flavour_is_the_same_spring(tmp_path: Path) -> None:
 def test_gross_sliding_takes_mu_times_the_normal_impulse(tmp_path: Path, kind: str) -> None:
     mu, v_t, v_n = 0.1, 4.0, 1.0
     bead = Particle(name="a", material=GLASS, radius=R, position=(0, 0, 1.007 * R), velocity=(v_t, 0.0, -v_n))
-    scene = Scene(
+    scene = Scene.of(
         name="sliding",
-        particles=(bead,),
-        walls=(Wall(name="floor", axis="z", position=0.0, material=GLASS),),
+        spheres=(bead,),
+        planes=(Wall(name="floor", axis="z", position=0.0, material=GLASS),),
         contact=ContactChoice(e_n=0.9, v_0=v_n, friction=mu, end="force"),
         run=RunControl(until_time=5e-5, steps_per_contact=100.0),
     )
@@ -199,9 +200,9 @@ def test_oblique_collision_conserves_momentum_and_its_solver_sees_the_recorded_o
         velocity=(-1.0, 0.0, 0.1),
         spin=(0.0, 50.0, 20.0),
     )
-    scene = Scene(
+    scene = Scene.of(
         name="oblique",
-        particles=(a, b),
+        spheres=(a, b),
         contact=ContactChoice(e_n=0.8, friction=0.3, v_0=1.5),
         run=RunControl(until_time=4e-5),
     )
@@ -242,10 +243,10 @@ def test_nobody_is_lost_however_far_they_fly(tmp_path: Path) -> None:
         )
         for i in range(2)
     )
-    scene = Scene(
+    scene = Scene.of(
         name="far_apart",
-        particles=particles,
-        walls=(Wall(name="floor", axis="z", position=-1.0),),
+        spheres=particles,
+        planes=(Wall(name="floor", axis="z", position=-1.0),),
         contact=ContactChoice(v_0=1.0),
         run=RunControl(until_time=0.1, dt=1e-5),
     )
@@ -264,10 +265,10 @@ def test_frames_are_dense_in_contact_sparse_in_flight_and_reach_the_last_step(
     tmp_path: Path, record_every: int
 ) -> None:
     bead = Particle(name="a", material=RUBBER, radius=R, position=(0, 0, 2.1 * R))
-    scene = Scene(
+    scene = Scene.of(
         name="drop",
-        particles=(bead,),
-        walls=(Wall(name="floor", axis="z", position=0.0),),
+        spheres=(bead,),
+        planes=(Wall(name="floor", axis="z", position=0.0),),
         gravity=(0.0, 0.0, -9.81),
         contact=ContactChoice(e_n=0.9),
         run=RunControl(until_time=0.045, steps_per_contact=60.0, record_every=record_every),
@@ -300,10 +301,10 @@ def test_no_contact_is_missed_when_a_collision_makes_a_bead_faster_than_all_were
     """A heavy ball makes a light bead leave with nearly twice its speed; the bead then hits a far wall."""
     ball = Particle(name="ball", material=STEEL, radius=3 * R, position=(0, 0, 0), velocity=(1.0, 0, 0))
     bead = Particle(name="bead", material=GLASS, radius=R, position=(4.1e-3, 0, 0))
-    scene = Scene(
+    scene = Scene.of(
         name="knock_on",
-        particles=(ball, bead),
-        walls=(Wall(name="end", axis="x", position=0.015),),
+        spheres=(ball, bead),
+        planes=(Wall(name="end", axis="x", position=0.015),),
         contact=ContactChoice(v_0=1.0),
         run=RunControl(until_time=5.5e-3, steps_per_contact=40.0),
     )

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,9 +31,10 @@ from kncal.engines.registry import get_engine
 from kncal.record.frames import Trajectory
 from kncal.runs.folder import read_manifest
 from kncal.runs.workflow import run_case
+from kncal.scene.bodies import Particle, Wall
 from kncal.scene.case_file import load_case
-from kncal.scene.model import Model
-from kncal.scene.scene import Particle, Scene, Wall
+from kncal.scene.model import Plan
+from kncal.scene.scene import Scene
 from kncal.study import Settings, ThreadExecutor, design, run_sweep
 from kncal.study.design import run_folder
 
@@ -44,7 +46,7 @@ def needs_mpi(test):
     return pytest.mark.solver(pytest.mark.skipif(missing, reason=reason)(test))
 
 
-def solve(given: Model, folder: Path, ranks: int) -> Trajectory:
+def solve(given: Plan, folder: Path, ranks: int) -> Trajectory:
     engine = Liggghts(ranks=ranks, oversubscribe=True)
     folder.mkdir()
     engine.render(given, folder)
@@ -66,10 +68,10 @@ def bead(name: str, x: tuple[float, float, float], v: tuple[float, float, float]
 
 def skidding() -> Scene:
     """A bead that slides into the floor and on, across the middle of the box that it widens: from rank to rank."""
-    return Scene(
+    return Scene.of(
         name="skidding",
-        particles=(bead("a", (-2 * R, 0.0, 1.001 * R), (3.0, 0.0, -0.5)), bead("b", (2.5 * R, 0.0, 5 * R))),
-        walls=(Wall(name="floor", axis="z", position=0.0),),
+        spheres=(bead("a", (-2 * R, 0.0, 1.001 * R), (3.0, 0.0, -0.5)), bead("b", (2.5 * R, 0.0, 5 * R))),
+        planes=(Wall(name="floor", axis="z", position=0.0),),
     )
 
 
@@ -79,10 +81,10 @@ def pile() -> Scene:
     angles = [math.radians(angle) for angle in (10.0, 130.0, 250.0)]
     base = [bead(name, (a * math.cos(t), a * math.sin(t), R)) for name, t in zip("abc", angles, strict=True)]
     height = R + math.sqrt((2 * R) ** 2 - a**2) + 1e-6
-    return Scene(
+    return Scene.of(
         name="pile",
-        particles=(*base, bead("top", (0.0, 0.0, height), (0.0, 0.0, -0.5))),
-        walls=(Wall(name="floor", axis="z", position=0.0),),
+        spheres=(*base, bead("top", (0.0, 0.0, height), (0.0, 0.0, -0.5))),
+        planes=(Wall(name="floor", axis="z", position=0.0),),
         gravity=(0.0, 0.0, -9.81),
     )
 
@@ -184,7 +186,7 @@ def test_what_cannot_run_on_several_ranks_says_why() -> None:
     check_bed_ranks(moving, 1)
     check_bed_ranks(frozen, 2)
     with pytest.raises(InputError, match="has none"):
-        check_bed_ranks(without.__class__(**{**vars(without), "gas": None}), 2)
+        check_bed_ranks(replace(without, gas=None), 2)
     with pytest.raises(InputError, match="10 x 30 cells in x and z; expected at most 30"):
         check_bed_ranks(frozen, 31)
     with pytest.raises(InputError, match="live has one gas solver"):
@@ -264,7 +266,7 @@ def is_free(place: Path) -> bool:
     return descriptor is not None
 
 
-def long_run() -> Model:
+def long_run() -> Plan:
     """Some million steps."""
     return model(head_on(speed=1e-3), "linear", t_end=20.0, record_every=10_000, flight_every=10_000)
 

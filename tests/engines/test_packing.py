@@ -7,10 +7,11 @@ import re
 import tracemalloc
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from beds import D, column, model, scene, still, weight
+from beds import BOX, D, model, scene, still, weight
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
@@ -20,9 +21,11 @@ from kncal.engines import settle as packing_module
 from kncal.engines.liggghts.library import LiggghtsDem
 from kncal.engines.settle import packing
 from kncal.scene.placement import PLACEMENTS, lattice
-from kncal.scene.scene import ContactChoice
+from kncal.scene.scene import AT_REST, ContactChoice
 
 solver = pytest.mark.solver
+#: What bounds a box in y, as fields of a scene.
+SIDES: dict[str, dict[str, Any]] = {"walls": {}, "periodic": {"periodic": ("y",)}, "layer": {"layer": "y"}}
 
 
 @settings(max_examples=40)
@@ -34,7 +37,8 @@ solver = pytest.mark.solver
 )
 def test_a_lattice_touches_nothing(count: int, seed: int, front_back: str, width: float) -> None:
     depth = D if front_back == "layer" else 5 * D
-    bed = scene(count, column(front_back=front_back, width=width, depth=depth, height=500 * D), seed=seed)
+    box = replace(BOX, size=(width, depth, 500 * D))
+    bed = scene(count, box=box, seed=seed, **SIDES[front_back])
     x = lattice(bed)
     assert x.shape == (count, 3)
     half, size = 0.5 * D, np.array([width, depth, 500 * D])
@@ -50,7 +54,7 @@ def test_a_lattice_touches_nothing(count: int, seed: int, front_back: str, width
 
 def test_a_lattice_that_does_not_fit() -> None:
     with pytest.raises(InputError, match="has 0 places"):
-        lattice(scene(1, column(width=D)))
+        lattice(scene(1, box=replace(BOX, size=(D, 0.006, 0.06))))
     with pytest.raises(InputError, match="expected a larger column"):
         lattice(scene(10_000))
 
@@ -58,7 +62,7 @@ def test_a_lattice_that_does_not_fit() -> None:
 @pytest.mark.parametrize("front_back", ["walls", "periodic"])
 def test_a_huge_column_takes_no_more_memory(front_back: str) -> None:
     """Its lattice has 1e18 places, of which a few are taken."""
-    huge = scene(400, column(width=1e3, depth=1e3, height=1e3, front_back=front_back))
+    huge = scene(400, box=replace(BOX, size=(1e3, 1e3, 1e3)), **SIDES[front_back])
     tracemalloc.start()
     x = lattice(huge)
     _, peak = tracemalloc.get_traced_memory()
@@ -75,21 +79,21 @@ def test_seeds_differ_and_repeat() -> None:
 
 def test_given_positions() -> None:
     places = ((0.002, 0.003, 0.004), (0.006, 0.003, 0.004))
-    assert packing(model(scene(2, packing="given", positions=places))).tolist() == [list(p) for p in places]
+    assert packing(model(scene(2, place="given", positions=places))).tolist() == [list(p) for p in places]
     with pytest.raises(InputError, match="positions"):
-        packing(model(scene(3, packing="given", positions=places)))
-    with pytest.raises(InputError, match="packing"):
-        packing(model(scene(3, packing="heap")))
+        packing(model(scene(3, place="given", positions=places)))
+    with pytest.raises(InputError, match="place"):
+        packing(model(scene(3, place="heap")))
     assert set(PLACEMENTS) == {"settled", "lattice", "given"}
 
 
 def test_what_cannot_settle() -> None:
     with pytest.raises(InputError, match="gravity"):
-        packing(model(scene(gravity=0.0)))
+        packing(model(scene(gravity=AT_REST)))
     with pytest.raises(InputError, match="linear"):
         packing(model(scene(), "hertz"))
     with pytest.raises(InputError, match="steps"):  # 1e10 of them
-        packing(model(scene(gravity=1e-10)))
+        packing(model(scene(gravity=(0.0, 0.0, -1e-10))))
 
 
 @solver
@@ -99,7 +103,7 @@ def test_a_settled_bed_rests_on_its_floor(tmp_path: Path, friction: float) -> No
     linear = model(bed, k_n=50.0, dt=2e-5)
     x = packing(linear)
     assert x.shape == (450, 3)
-    c = linear.between("particles", "walls")
+    c = linear.between("beads", "column")
     with LiggghtsDem(linear, tmp_path, x) as dem:
         rest = [dem.run(1000, still(bed)) for _ in range(5)][-1]
         y, _ = dem.state()
@@ -115,7 +119,7 @@ def test_a_settled_bed_rests_on_its_floor(tmp_path: Path, friction: float) -> No
         assert rest.floor_force == pytest.approx(weight(bed), rel=0.01)
     # Void fraction between two heights inside the bed, by the volume of each sphere between them.
     low, high = 2.0 * D, float(np.quantile(x[:, 2], 0.9))
-    column_volume = bed.column.width * bed.column.depth * (high - low)
+    column_volume = bed.box.width * bed.box.depth * (high - low)
     solid = sum(_between(z, low, high) for z in x[:, 2])
     assert 0.36 < 1.0 - solid / column_volume < 0.5
 
@@ -140,7 +144,7 @@ def test_packings_are_kept_by_their_inputs(tmp_path: Path) -> None:
     assert np.array_equal(packing(model(bed), tmp_path), first)
     assert [p.stat().st_mtime_ns for p in tmp_path.glob("*.npz")] == [stamp]
     packing(model(bed, k_n=150.0), tmp_path)
-    packing(model(replace(bed, particles=replace(bed.particles, seed=7))), tmp_path)
+    packing(model(bed.with_group(seed=7)), tmp_path)
     assert len(list(tmp_path.glob("*.npz"))) == 3
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import math
 import os
@@ -13,6 +14,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from models import with_bodies
+from pydantic import ValidationError
 
 from kncal import calibrate
 from kncal.core.errors import InputError, RenderError, ValidityError
@@ -20,9 +23,10 @@ from kncal.core.shipped import folder as shipped_folder
 from kncal.core.templating import NAME_PATTERN, checked_name, integer, number, render
 from kncal.engines.liggghts.batch import Liggghts
 from kncal.physics.material import Material, pair
-from kncal.scene.model import Model
+from kncal.scene.bodies import Particle, Vector, Wall
+from kncal.scene.model import Plan
 from kncal.scene.plan import plan
-from kncal.scene.scene import ContactChoice, PairChoice, Particle, RunControl, Scene, Vector, Wall
+from kncal.scene.scene import ContactChoice, PairChoice, RunControl, Scene
 
 GLASS = Material(young=5e7, poisson=0.25, density=2500.0, name="glass")
 STEEL = Material(young=2e11, poisson=0.3, density=7800.0, name="steel")
@@ -34,16 +38,16 @@ def bead(name: str, z: float, *, radius: float = 1e-3, material: Material = GLAS
 
 
 def scene(*particles: Particle, walls: tuple[Wall, ...] = (), **contact: Any) -> Scene:
-    return Scene(
+    return Scene.of(
         name="test_scene",
-        particles=particles or (bead("a", 1.05e-3),),
-        walls=walls if walls or len(particles) > 1 else (Wall(name="floor", axis="z", position=0.0),),
+        spheres=particles or (bead("a", 1.05e-3),),
+        planes=walls if walls or len(particles) > 1 else (Wall(name="floor", axis="z", position=0.0),),
         contact=ContactChoice(**{"e_n": 0.9, "v_0": 1.0} | contact),
         run=RunControl(until_time=3e-4),
     )
 
 
-def rendered(model: Model, folder: Path, style: str = "hooke/stiffness") -> str:
+def rendered(model: Plan, folder: Path, style: str = "hooke/stiffness") -> str:
     Liggghts(style).render(model, folder)
     return (folder / "in.liggghts").read_text(encoding="ascii")
 
@@ -61,7 +65,7 @@ def table(deck: str, name: str) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def models() -> dict[str, Model]:
+def models() -> dict[str, Plan]:
     return plan(scene())
 
 
@@ -137,7 +141,7 @@ def test_a_pair_that_cannot_be_calibrated_and_never_meets_is_named(tmp_path: Pat
         ]
 
 
-def test_rigid_wall_leaves_the_particles_modulus(tmp_path: Path, models: dict[str, Model]) -> None:
+def test_rigid_wall_leaves_the_particles_modulus(tmp_path: Path, models: dict[str, Plan]) -> None:
     deck = rendered(models["hertz"], tmp_path)
     young, poisson = table(deck, "youngsModulus"), table(deck, "poissonsRatio")
     E_eff = 1.0 / np.sum((1.0 - poisson**2) / young)
@@ -147,7 +151,7 @@ def test_rigid_wall_leaves_the_particles_modulus(tmp_path: Path, models: dict[st
 
 @pytest.mark.parametrize(("young", "switch"), [(1e6, "soft_particles yes"), (1e11, "hard_particles yes")])
 def test_moduli_outside_the_usual_range_are_allowed_explicitly(tmp_path: Path, young: float, switch: str) -> None:
-    material = Material(young=young, poisson=0.25, density=2500.0)
+    material = Material(young=young, poisson=0.25, density=2500.0, name="grain")
     wall = Wall(name="floor", axis="z", position=0.0, material=material)
     deck = rendered(plan(scene(bead("a", 1.05e-3, material=material), walls=(wall,)), ["hertz"])["hertz"], tmp_path)
     assert [line for line in deck.splitlines() if line.endswith("_particles yes")] == [switch]
@@ -191,7 +195,7 @@ def test_nothing_tangential_without_need_and_everything_with_it(tmp_path: Path) 
             assert np.all(table(deck, "gammat_abs") == 0.0)
 
 
-def test_allrun_is_executable(tmp_path: Path, models: dict[str, Model]) -> None:
+def test_allrun_is_executable(tmp_path: Path, models: dict[str, Plan]) -> None:
     Liggghts().render(models["linear"], tmp_path)
     assert os.access(tmp_path / "Allrun", os.X_OK)
     assert (tmp_path / "Allrun").read_bytes().startswith(b"#!/bin/sh\n")
@@ -200,10 +204,17 @@ def test_allrun_is_executable(tmp_path: Path, models: dict[str, Model]) -> None:
 # --- refusals --------------------------------------------------------------------------------------------------------
 
 
-def altered(model: Model, **change: Any) -> Model:
+def altered(model: Plan, **change: Any) -> Plan:
     """The model with one number of its only contact replaced."""
     ((names, contact),) = model.contacts.items()
     return dataclasses.replace(model, contacts={names: dataclasses.replace(contact, **change)})
+
+
+def unchecked(given: Scene, **values: Any) -> Scene:
+    """The scene with values that it would refuse, put in behind its back."""
+    changed = copy.copy(given)
+    vars(changed).update(values)
+    return changed
 
 
 BAD = [math.nan, math.inf, -math.inf, -1.0]
@@ -216,7 +227,7 @@ BAD = [math.nan, math.inf, -math.inf, -1.0]
     + [(field, bad) for field in ("k", "c", "m_eff", "friction", "k_t", "rolling_friction") for bad in BAD],
 )
 def test_bad_contact_numbers_never_reach_a_deck(
-    tmp_path: Path, models: dict[str, Model], kind: str, field: str, value: float
+    tmp_path: Path, models: dict[str, Plan], kind: str, field: str, value: float
 ) -> None:
     with pytest.raises(RenderError, match=f"pair a, floor: {field} = "):
         Liggghts().render(altered(models[kind], **{field: value}), tmp_path)
@@ -228,7 +239,7 @@ def test_bad_contact_numbers_never_reach_a_deck(
     [{"dt": bad} for bad in [0.0, *BAD]]
     + [{"n_steps": 0}, {"n_steps": 2**31}, {"record_every": 0}, {"flight_every": 0}, {"contacts": {}}],
 )
-def test_bad_run_numbers_never_reach_a_deck(tmp_path: Path, models: dict[str, Model], change: dict[str, Any]) -> None:
+def test_bad_run_numbers_never_reach_a_deck(tmp_path: Path, models: dict[str, Plan], change: dict[str, Any]) -> None:
     with pytest.raises(RenderError, match="test_scene"):
         Liggghts().render(dataclasses.replace(models["linear"], **change), tmp_path)
     assert not list(tmp_path.iterdir())
@@ -236,14 +247,14 @@ def test_bad_run_numbers_never_reach_a_deck(tmp_path: Path, models: dict[str, Mo
 
 @pytest.mark.parametrize("field", ["position", "velocity", "spin"])
 @pytest.mark.parametrize("value", [math.nan, math.inf, "0.0\nshell touch ran", None])
-def test_bad_vectors_never_reach_a_deck(tmp_path: Path, models: dict[str, Model], field: str, value: Any) -> None:
+def test_bad_vectors_never_reach_a_deck(tmp_path: Path, models: dict[str, Plan], field: str, value: Any) -> None:
     model = models["linear"]
-    (particle,) = model.scene.particles
+    (particle,) = model.scene.spheres
     start = dataclasses.replace(particle, **{field: (0.0, value, 1.05e-3)})
+    with pytest.raises(ValidationError, match=field):
+        with_bodies(model.scene, spheres=(start,))
     with pytest.raises(RenderError, match=f"{field} = "):
-        Liggghts().render(
-            dataclasses.replace(model, scene=dataclasses.replace(model.scene, particles=(start,))), tmp_path
-        )
+        Liggghts().render(dataclasses.replace(model, scene=unchecked(model.scene, spheres=(start,))), tmp_path)
     assert not list(tmp_path.iterdir())
 
 
@@ -271,34 +282,37 @@ HOSTILE = [
 
 @pytest.mark.parametrize("name", HOSTILE)
 @pytest.mark.parametrize("where", ["scene", "particle", "wall"])
-def test_hostile_names_never_reach_a_deck(tmp_path: Path, models: dict[str, Model], where: str, name: str) -> None:
+def test_hostile_names_never_reach_a_deck(tmp_path: Path, models: dict[str, Plan], where: str, name: str) -> None:
     model = models["linear"]
-    (particle,), (wall,) = model.scene.particles, model.scene.walls
+    (particle,), (wall,) = model.scene.spheres, model.scene.planes
     names = {"scene": "s", "particle": "p", "wall": "w"} | {where: name}
-    hostile = dataclasses.replace(
-        model.scene,
-        name=names["scene"],
-        particles=(dataclasses.replace(particle, name=names["particle"]),),
-        walls=(dataclasses.replace(wall, name=names["wall"]),),
-    )
+    bodies: dict[str, Any] = {
+        "name": names["scene"],
+        "spheres": (dataclasses.replace(particle, name=names["particle"]),),
+        "planes": (dataclasses.replace(wall, name=names["wall"]),),
+    }
+    with pytest.raises(ValidationError, match="expected a name"):
+        with_bodies(model.scene, **bodies)
     with pytest.raises(RenderError, match="rename it"):
-        Liggghts().render(dataclasses.replace(model, scene=hostile), tmp_path)
+        Liggghts().render(dataclasses.replace(model, scene=unchecked(model.scene, **bodies)), tmp_path)
     assert not list(tmp_path.iterdir())
 
 
 def test_free_text_of_the_case_stays_out_of_the_deck(tmp_path: Path) -> None:
     said = "a title & more\nshell touch ran"
-    talkative = dataclasses.replace(scene(), title=said, source=said)
+    with pytest.raises(ValidationError, match="one line"):
+        dataclasses.replace(scene(), title=said)
+    talkative = unchecked(scene(), title=said, source=said)
     deck = rendered(plan(talkative, ["linear"])["linear"], tmp_path)
     assert "shell" not in deck
     assert "title" not in deck
 
 
-def test_centres_in_one_place_are_refused(tmp_path: Path, models: dict[str, Model]) -> None:
+def test_centres_in_one_place_are_refused(tmp_path: Path, models: dict[str, Plan]) -> None:
     model = models["linear"]
-    (particle,) = model.scene.particles
+    (particle,) = model.scene.spheres
     moved = dataclasses.replace(particle, position=(0.0, 0.0, 0.0))
-    where = dataclasses.replace(model.scene, particles=(moved,))
+    where = with_bodies(model.scene, spheres=(moved,))
     with pytest.raises(RenderError, match="centre in the same place"):
         Liggghts().render(dataclasses.replace(model, scene=where), tmp_path)
 
@@ -318,13 +332,13 @@ def test_laws_that_kncal_does_not_write_are_sent_to_the_builtin_engine(tmp_path:
     assert ("hertz/stiffness" in str(refused.value)) == bool(model)  # LIGGGHTS has that one
 
 
-def test_a_stiffness_that_liggghts_would_not_take_is_refused(tmp_path: Path, models: dict[str, Model]) -> None:
+def test_a_stiffness_that_liggghts_would_not_take_is_refused(tmp_path: Path, models: dict[str, Plan]) -> None:
     (contact,) = models["hertz"].contacts.values()
     with pytest.raises(RenderError, match="k = "):
         Liggghts().render(altered(models["hertz"], k=contact.k * 1.001), tmp_path)
 
 
-def test_hooke_is_only_for_strain_energy(tmp_path: Path, models: dict[str, Model]) -> None:
+def test_hooke_is_only_for_strain_energy(tmp_path: Path, models: dict[str, Plan]) -> None:
     with pytest.raises(RenderError, match="strain_energy"):
         Liggghts("hooke").render(models["linear"], tmp_path)
     model = plan(scene(method="strain_energy"), ["linear"])["linear"]

@@ -6,13 +6,14 @@ import pytest
 from kncal.engines.registry import get_engine
 from kncal.observe.contacts import observe
 from kncal.physics.material import Material
+from kncal.scene.bodies import Particle, Wall
 from kncal.scene.plan import plan
-from kncal.scene.scene import ContactChoice, Particle, RunControl, Scene, Wall
+from kncal.scene.scene import ContactChoice, RunControl, Scene
 
 SOFT = Material(young=1e7, poisson=0.3, density=2500.0, name="soft")
-SHAKEN = Scene(
+SHAKEN = Scene.of(
     name="shaken",
-    particles=(
+    spheres=(
         Particle(name="lower", material=SOFT, radius=1e-3, position=(0.0, 0.0, 1.0005e-3)),
         Particle(
             name="upper",
@@ -23,7 +24,7 @@ SHAKEN = Scene(
             spin=(0.0, 200.0, 0.0),
         ),
     ),
-    walls=(
+    planes=(
         Wall(name="floor", axis="z", position=0.0, material=SOFT),
         Wall(name="left", axis="x", position=-1.05e-3, material=SOFT),
         Wall(name="right", axis="x", position=1.25e-3, material=SOFT),

@@ -12,8 +12,9 @@ import pytest
 from kncal import calibrate, pair, wall_pair
 from kncal.engines.liggghts.batch import Liggghts
 from kncal.physics.material import Material
+from kncal.scene.bodies import Particle, Wall
 from kncal.scene.plan import plan
-from kncal.scene.scene import ContactChoice, PairChoice, Particle, RunControl, Scene, Wall
+from kncal.scene.scene import ContactChoice, PairChoice, RunControl, Scene
 
 pytestmark = pytest.mark.solver
 
@@ -27,13 +28,13 @@ STEPS = 200
 def one_small_one_large(ratio: float) -> Scene:
     """A small sphere that flies at a large one: no two small or two large ones meet, and nothing meets the floor."""
     large = ratio * SMALL
-    return Scene(
+    return Scene.of(
         name="two_sizes",
-        particles=(
+        spheres=(
             Particle(name="small", material=GLASS, radius=SMALL, position=(0.0, 0.0, 1.0), velocity=(SPEED, 0.0, 0.0)),
             Particle(name="large", material=GLASS, radius=large, position=(1.1 * SMALL + large, 0.0, 1.0)),
         ),
-        walls=(Wall(name="floor", axis="z", position=0.0, material=STEEL),),
+        planes=(Wall(name="floor", axis="z", position=0.0, material=STEEL),),
         contact=ContactChoice(e_n=E_N, v_0=SPEED, pairs=(PairChoice(between=("glass", "steel"), e_n=E_N_FLOOR),)),
         run=RunControl(until_time=1e-4),
     )

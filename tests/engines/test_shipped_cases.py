@@ -5,13 +5,14 @@ from functools import cache
 
 import numpy as np
 import pytest
+from shipped import SINGLE
 
 from kncal.core.shipped import folder as resource
 from kncal.engines.registry import get_engine
 from kncal.observe.compare import compare as compare_runs
 from kncal.observe.run_data import RunData
 from kncal.runs.workflow import complete, load, require_completed, run_case
-from kncal.scene.case_file import load_case, shipped_cases
+from kncal.scene.case_file import load_case
 from kncal.scene.model import KINDS
 
 ENGINES = ["builtin", pytest.param("liggghts", marks=pytest.mark.solver)]
@@ -35,7 +36,7 @@ def runs(tmp_path_factory):
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("case", shipped_cases(beds=False))
+@pytest.mark.parametrize("case", SINGLE)
 def test_agrees_with_the_exact_solution_within_the_predicted_error(case, engine, runs):
     checked = 0
     for data in runs(case, engine).values():
@@ -51,7 +52,7 @@ def test_agrees_with_the_exact_solution_within_the_predicted_error(case, engine,
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("case", shipped_cases(beds=False))
+@pytest.mark.parametrize("case", SINGLE)
 def test_agrees_with_expected_json(case, engine, runs):
     expected = json.loads((resource("cases") / case / "expected.json").read_text())["metrics"]
     assert expected
@@ -62,7 +63,7 @@ def test_agrees_with_expected_json(case, engine, runs):
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("case", shipped_cases(beds=False))
+@pytest.mark.parametrize("case", SINGLE)
 def test_linear_is_within_the_tolerances_of_the_case(case, engine, runs):
     both = runs(case, engine)
     comparison = compare_runs(both["linear"], both["hertz"])
@@ -97,7 +98,7 @@ def test_liggghts_and_builtin_agree_with_friction_and_resting_contacts(case, kin
 @pytest.mark.parametrize("case", ["head_on_collision", "unequal_collision"])
 def test_momentum_is_conserved(case, engine, runs):
     for data in runs(case, engine).values():
-        masses = np.array([p.material.density * p.radius**3 for p in data.model.scene.particles])
+        masses = np.array([p.material.density * p.radius**3 for p in data.model.scene.spheres])
         momentum = np.einsum("p,fpi->fi", masses, data.trajectory.v)
         scale = np.abs(masses[:, None] * data.trajectory.v[0]).max()
         assert np.abs(momentum - momentum[0]).max() <= 1e-12 * scale

@@ -31,10 +31,10 @@ from kncal.physics.fluidization import (
 )
 from kncal.record.facts import BedFacts
 from kncal.record.series import BedSeries
-from kncal.scene.bed_scene import Gas
 from kncal.scene.metrics import COUPLED, KINDS_OF_BEDS, METRICS, offered, why_not
+from kncal.scene.scene import Gas
 
-GAS = Gas(density=1.2, viscosity=1.8e-5)
+GAS = Gas(cells=(5, 1, 20), density=1.2, viscosity=1.8e-5)
 
 
 # --- the table ------------------------------------------------------------------------------------------------------

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from models import with_bodies
 
 from kncal.core.errors import ValidityError
 from kncal.engines.builtin.integrator import integrate
@@ -54,7 +55,7 @@ def test_each_form_of_energy_against_mechanics() -> None:
     model = plan(scene, ("linear",))["linear"]
     frames = integrate(model)
     found = energy(model, frames)
-    (ball,) = scene.particles
+    (ball,) = scene.spheres
     m = ball.material.density * 4.0 / 3.0 * math.pi * ball.radius**3
     touch = int(np.flatnonzero(frames.x[:, 0, 2] < ball.radius)[0]) - 1
     fallen = 0.5 - frames.x[touch, 0, 2]
@@ -74,8 +75,8 @@ def test_each_form_of_energy_against_mechanics() -> None:
 
 def test_rotation_counts() -> None:
     scene = load_case("falling_particle")
-    (ball,) = scene.particles
-    scene = replace(scene, particles=(replace(ball, spin=(0.0, 3.0, 4.0)),))
+    (ball,) = scene.spheres
+    scene = with_bodies(scene, spheres=(replace(ball, spin=(0.0, 3.0, 4.0)),))
     model = plan(scene, ("linear",))["linear"]
     found = energy(model, integrate(model))
     m = ball.material.density * 4.0 / 3.0 * math.pi * ball.radius**3

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from models import R, finer, head_on, mass, model, on_wall
+from models import R, finer, head_on, mass, model, on_wall, with_bodies
 
 from kncal.core.errors import InputError
 from kncal.engines.builtin.integrator import integrate
 from kncal.observe.contacts import measure_contact, observe, overlaps
 from kncal.record.frames import Trajectory
 from kncal.scene.exact import ExactSolution, gross_sliding, slip_end, solve
-from kncal.scene.model import Model
+from kncal.scene.model import Plan
 
 KINDS = ("linear", "hertz")
 
@@ -92,10 +92,10 @@ def test_a_series_without_a_contact_is_refused(frames: int) -> None:
         measure_contact(np.arange(float(frames)), -np.ones(frames), np.zeros(frames))
 
 
-def as_trajectory(given_: Model, solution: ExactSolution, times: np.ndarray) -> Trajectory:
+def as_trajectory(given_: Plan, solution: ExactSolution, times: np.ndarray) -> Trajectory:
     """Frames of an exact motion with the force of free flight, which is what counts beside a contact."""
     x, v = solution.at(times)
-    particles = given_.scene.particles
+    particles = given_.scene.spheres
     weight = np.array([mass(p) for p in particles])[:, None] * np.array(given_.scene.gravity)
     return Trajectory(
         names=solution.names,
@@ -125,8 +125,8 @@ def test_exact_frames_give_the_exact_contacts(kind: str, end: str) -> None:
 
 def test_exact_frames_of_an_oblique_pair() -> None:
     scene = head_on()
-    second = dataclasses.replace(scene.particles[1], position=(2.05 * R, 0.4 * R, 0.0))
-    given_ = model(dataclasses.replace(scene, particles=(scene.particles[0], second)), "linear", t_end=8e-4, e_n=0.8)
+    second = dataclasses.replace(scene.spheres[1], position=(2.05 * R, 0.4 * R, 0.0))
+    given_ = model(with_bodies(scene, spheres=(scene.spheres[0], second)), "linear", t_end=8e-4, e_n=0.8)
     solution = solve(given_, 8e-4)
     seen = observe(given_, as_trajectory(given_, solution, np.linspace(0.0, 8e-4, 4001)))
     ours, exact = seen.contacts[0], solution.contacts[0]

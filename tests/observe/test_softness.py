@@ -15,13 +15,13 @@ from kncal.engines.registry import get_engine
 from kncal.observe.softness import secant, signs, sound_speed
 from kncal.physics.impact import dimensionless_impact
 from kncal.runs.workflow import load, run_case
-from kncal.scene.case_file import load_scene
+from kncal.scene.case_file import load_case
 from kncal.scene.load import bottom_overlaps
 from kncal.scene.model import PairContact
 from kncal.scene.plan import plan
 from kncal.scene.scene import ContactChoice
 
-D, RHO, G = SCENE.particles.diameter, 1000.0, SCENE.gravity
+D, RHO, G = SCENE.group.diameter, 1000.0, SCENE.g
 MASS = RHO * math.pi / 6.0 * D**3
 
 
@@ -46,11 +46,9 @@ def test_the_spring_carries_the_force_at_its_overlap(k, n, force):
 def test_overlaps_of_a_column_of_particles_at_rest():
     """A column one particle wide, solved as a chain of springs: the overlap at the floor is N m g/k exactly."""
     number, k = 40, 50.0
-    column = replace(SCENE.column, width=D, depth=D, height=0.2, cells=(1, 1, 100))
     scene = replace(
-        SCENE,
-        column=column,
-        particles=replace(SCENE.particles, count=number),
+        SCENE.with_box(size=(D, D, 0.2)).with_group(count=number),
+        gas=replace(SCENE.gas, cells=(1, 1, 100)),
         contact=ContactChoice(e_n=0.9, v_0=0.5, k_n=k),
     )
     pair, floor = bottom_overlaps(plan(scene, ("linear",))["linear"]).values()
@@ -85,14 +83,12 @@ gravity = [0.0, 0.0, -9.81]
 young = 1e7
 poisson = 0.25
 density = 2500.0
-[[particles]]
-name = "bead"
+[particles.bead]
 material = "glass"
 diameter = 0.002
 position = [0.0, 0.0, 0.001000001]
 velocity = [0.0, 0.0, -1.0]
-[[walls]]
-name = "floor"
+[walls.floor]
 axis = "z"
 position = 0.0
 material = "rigid"
@@ -114,7 +110,7 @@ def test_signs_of_one_impact(tmp_path):
         path = tmp_path / f"{k_n:g}" / "case.toml"
         path.parent.mkdir()
         path.write_text(CASE.format(k_n=k_n, end=2.0 * math.pi * math.sqrt(m / k_n)), encoding="utf-8")
-        run_case(load_scene(path), get_engine("builtin"), path.parent / "run", ("linear",))
+        run_case(load_case(path), get_engine("builtin"), path.parent / "run", ("linear",))
         data = runs[k_n] = load(path.parent / "run" / "linear")
         found = by_name(signs(data))
         omega = math.sqrt(k_n / m)

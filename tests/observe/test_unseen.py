@@ -12,7 +12,6 @@ from kncal.scene.case_file import load_case
 from kncal.scene.contact_limits import FEWEST_FRAMES
 from kncal.scene.limits import check
 from kncal.scene.plan import plan
-from kncal.scene.scene import Scene
 
 QUICK = ["--engine", "builtin", "--out"]
 
@@ -27,7 +26,6 @@ def kncal(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str
 def messages(case: str, *changes: str) -> dict[str, list[str]]:
     """Kind -> what is said of its recording."""
     scene = load_case(case, overrides=changes)
-    assert isinstance(scene, Scene)
     return {kind: [f.message for f in check(model) if f.code == "not-recorded"] for kind, model in plan(scene).items()}
 
 
@@ -72,7 +70,6 @@ def test_the_verdict_names_the_largest_difference_that_nobody_judged(
 ) -> None:
     """A spring 34 times too soft keeps e_n, and lasts sqrt(34) times as long: "within tolerance", but of e_n alone."""
     scene = load_case("wall_impact")
-    assert isinstance(scene, Scene)
     k_n = plan(scene)["linear"].between("sphere", "floor").k / 34.0
     changes = [f"contact.k_n={k_n!r}", "contact.method=none", "tolerances={e_n=0.05}"]
     sets = [part for change in changes for part in ("--set", change)]

@@ -16,7 +16,6 @@ from kncal.core.errors import CaseFileError
 from kncal.engines.registry import get_engine
 from kncal.observe.contacts import observe
 from kncal.physics.timestep import instead_of_zero, predict_error, restitution_error
-from kncal.scene.bed_case_file import load_bed
 from kncal.scene.case_file import load_case
 from kncal.scene.limits import check
 from kncal.scene.plan import plan
@@ -124,13 +123,13 @@ def test_usual_cases_are_not_nagged() -> None:
 
 def test_a_pair_that_lasts_longer_is_judged_by_its_own_steps() -> None:
     """A wall whose contact lasts 1.6 times as long as that of two particles has as many more steps."""
-    bed = load_bed("bubbling_bed_mini")
+    bed = load_case("bubbling_bed_mini")
     bed = replace(bed, contact=replace(bed.contact, e_n=0.3), run=replace(bed.run, steps_per_contact=22.0))
     model = plan(bed, ("linear",))["linear"]
-    wall, both = (model.between("particles", name) for name in ("walls", "particles"))
+    wall, both = (model.between("beads", name) for name in ("column", "beads"))
     texts = {m.message.split(":")[0]: m.message for m in check(model) if m.code == "dem-step"}
     wanted = {who: float(text.split("run.steps_per_contact = ")[1].split()[0]) for who, text in texts.items()}
-    ratio = wanted["particles–particles"] / wanted["particles–walls"]
+    ratio = wanted["beads–beads"] / wanted["beads–column"]
     assert ratio == pytest.approx(wall.t_c / both.t_c, rel=0.01)
 
 

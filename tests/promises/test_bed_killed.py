@@ -19,8 +19,8 @@ from kncal.engines.dpmfoam.adapter_build import find
 from kncal.record.series import read_series
 from kncal.runs.states import run_state
 from kncal.runs.workflow import run_case
-from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import dump_case, load_case
+from kncal.scene.scene import Scene
 
 pytestmark = pytest.mark.solver
 
@@ -39,11 +39,9 @@ run_case(load_case(sys.argv[1]), Coupled(sys.argv[3]), Path(sys.argv[2]), ("line
 NUMBERS = ("t", "p_in", "drag_z", "floor", "z_mean", "kinetic_energy", "overlap_max", "momentum_z")
 
 
-def bed() -> BedScene:
-    scene = load_case("bubbling_bed_mini")
-    assert isinstance(scene, BedScene)
-    particles = replace(scene.particles, count=400, packing="lattice")
-    return replace(scene, particles=particles, run=replace(scene.run, end_time=0.04), tolerances={})
+def bed() -> Scene:
+    scene = load_case("bubbling_bed_mini").with_group(count=400, place="lattice")
+    return replace(scene, run=replace(scene.run, until_time=0.04), tolerances={})
 
 
 @pytest.fixture(scope="module")

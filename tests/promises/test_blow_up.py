@@ -50,10 +50,10 @@ def test_times_and_steps() -> None:
                 tables = tomllib.loads(Path({str(SINGLE)!r}).read_text())
                 tables["run"] = {{"until_time": 1e-4}} | {{key: value}}
                 attempt(lambda: kncal.scene.plan.plan(kncal.scene.case_file.parse_case("", name="x", tables=tables)))
-            for key in ("end_time", "coupling", "frames_every", "gas_step", "discard"):
+            for key in ("until_time", "coupling", "frames_every", "gas_step", "discard"):
                 tables = tomllib.loads(Path({str(BED)!r}).read_text())
                 tables["run"][key] = value
-                attempt(lambda: plan(parse_bed("", name="x", tables=tables)))
+                attempt(lambda: plan(parse_case("", name="x", tables=tables)))
     """)
     assert len(lines) == 7 * len(values)
     for i, value in enumerate(values):
@@ -67,15 +67,15 @@ def test_counts() -> None:
         import tomllib
         def bed(table, key, value):
             tables = tomllib.loads(Path({str(BED)!r}).read_text())
-            tables[table][key] = value
-            attempt(lambda: plan(parse_bed("", name="x", tables=tables)))
-        bed("particles", "count", 10**6 + 1)
-        bed("particles", "count", 10**30)
-        bed("column", "cells", [10_000, 10_000, 10_000])
+            (tables["particles"]["beads"] if table == "beads" else tables[table])[key] = value
+            attempt(lambda: plan(parse_case("", name="x", tables=tables)))
+        bed("beads", "count", 10**6 + 1)
+        bed("beads", "count", 10**30)
+        bed("gas", "cells", [10_000, 10_000, 10_000])
         bed("gas", "ramp", [[float(i), 1.0] for i in range(1001)])
         bed("run", "frames_every", 1e-9)
         tables = tomllib.loads(Path({str(SINGLE)!r}).read_text())
-        tables["particles"] = tables["particles"] * 101
+        tables["particles"] = {{f"p{{i}}": one for one in tables["particles"].values() for i in range(101)}}
         attempt(lambda: kncal.scene.case_file.parse_case("", name="x", tables=tables))
     """)
     assert all(line.startswith("CaseFileError") for line in [*lines[:4], lines[5]]), lines
@@ -89,9 +89,9 @@ def test_frames_that_would_fill_the_disk_are_refused() -> None:
     (line,) = bounded(f"""
         import tomllib
         tables = tomllib.loads(Path({str(BED)!r}).read_text())
-        tables["column"]["cells"] = [100, 10, 100]
-        tables["run"] |= {{"end_time": 50.0, "frames_every": 1e-9}}
-        attempt(lambda: plan(parse_bed("", name="x", tables=tables)))
+        tables["gas"]["cells"] = [100, 10, 100]
+        tables["run"] |= {{"until_time": 50.0, "frames_every": 1e-9}}
+        attempt(lambda: plan(parse_case("", name="x", tables=tables)))
     """)
     assert re.match(r"CaseFileError .* frames of .*run.frames_every", line)
 
@@ -99,7 +99,7 @@ def test_frames_that_would_fill_the_disk_are_refused() -> None:
 def test_many_bodies_are_planned() -> None:
     """The impact speed is looked for once, not once for each of the n² pairs."""
     particles = "".join(
-        f'[[particles]]\nname = "p{i}"\nmaterial = "m"\ndiameter = 1e-3\n'
+        f'[particles.p{i}]\nmaterial = "m"\ndiameter = 1e-3\n'
         f"position = [{2e-3 * (i % 10)}, {2e-3 * (i // 10)}, 0.0]\nvelocity = [{float((-1) ** i)}, 0.0, 0.0]\n"
         for i in range(60)
     )

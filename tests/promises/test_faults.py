@@ -351,7 +351,7 @@ def test_no_descriptor_leaks_where_there_is_no_room_for_temporary_files(tmp_path
 def test_liggghts_own_spring_is_told_apart_and_read_back(tmp_path: Path) -> None:
     scene = load_case("wall_impact")
     scene = dataclasses.replace(
-        scene, contact=dataclasses.replace(scene.contact, method="strain_energy", method_options={}, k_n=None)
+        scene, contact=dataclasses.replace(scene.contact, method="strain_energy", options={}, k_n=None)
     )
     _look.cache_clear()
     run_case(scene, get_engine("liggghts-hooke"), tmp_path / "out", ("linear",))

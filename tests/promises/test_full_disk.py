@@ -20,8 +20,8 @@ from kncal.engines.dpmfoam.adapter_build import find
 from kncal.engines.liggghts.diagnose import diagnose_liggghts
 from kncal.runs.states import run_state
 from kncal.runs.workflow import run_case
-from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import load_case
+from kncal.scene.scene import Scene
 from kncal.study.states import sweep_status
 
 #: Frames of 300 kB and more.
@@ -99,12 +99,10 @@ def test_a_killed_liggghts_on_a_full_disk(disk: Disk) -> None:
     assert found.code == "disk-full"
 
 
-def bed(*, gas: bool) -> BedScene:
-    scene = load_case("bubbling_bed_mini")
-    assert isinstance(scene, BedScene)
-    particles = replace(scene.particles, count=300, packing="lattice")
-    run = replace(scene.run, end_time=0.005, frames_every=0.001)
-    return replace(scene, particles=particles, run=run, gas=scene.gas if gas else None, tolerances={})
+def bed(*, gas: bool) -> Scene:
+    scene = load_case("bubbling_bed_mini").with_group(count=300, place="lattice")
+    run = replace(scene.run, until_time=0.005, frames_every=0.001)
+    return replace(scene, run=run, gas=scene.gas if gas else None, tolerances={})
 
 
 @pytest.mark.solver

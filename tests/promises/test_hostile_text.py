@@ -28,10 +28,10 @@ from kncal.engines.registry import get_engine
 from kncal.record.openfoam import refuse_code
 from kncal.runs.folder import refuse_links
 from kncal.runs.workflow import render_case, run_case
-from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import load_case, parse_case, shipped_cases
 from kncal.scene.case_text import find_case, toml_value
 from kncal.scene.plan import plan
+from kncal.scene.scene import Scene
 
 #: What each would do is leave a file called "ran".
 HOSTILE = [
@@ -73,12 +73,14 @@ def changed(text: str, way: tuple[Any, ...], value: object) -> dict[str, Any]:
     return tables
 
 
-def load(text: str, tables: dict[str, Any], name: str = "x") -> object:
-    from kncal.scene.bed_case_file import parse_bed
+def renamed(text: str, kind: str, name: str) -> dict[str, Any]:
+    """The tables of a case whose only group or wall has this name."""
+    (one,) = tomllib.loads(text)[kind].values()
+    return changed(text, (kind,), {name: one})
 
-    return (
-        parse_bed(text, name=name, tables=tables) if "column" in tables else parse_case(text, name=name, tables=tables)
-    )
+
+def load(text: str, tables: dict[str, Any], name: str = "x") -> Scene:
+    return parse_case(text, name=name, tables=tables)
 
 
 @pytest.mark.parametrize("bad", HOSTILE)
@@ -90,19 +92,29 @@ def test_names_and_numbers_refuse_it(bad: str) -> None:
             load(text, tables, name=bad)
         with pytest.raises(CaseFileError):
             load(text, changed(text, ("materials", bad), next(iter(tables["materials"].values()))))
-    for way in (("particles", 0, "name"), ("particles", 0, "material"), ("walls", 0, "name"), ("walls", 0, "axis")):
-        with pytest.raises(CaseFileError):
-            load(SINGLE, changed(SINGLE, way, bad))
-    for way in (("gas", "drag"), ("column", "front_back"), ("column", "gas_walls"), ("column", "wall_material")):
-        with pytest.raises(CaseFileError):
-            load(BED, changed(BED, way, bad))
+        for kind in ("particles", "walls"):
+            with pytest.raises(CaseFileError, match=kind):
+                load(text, renamed(text, kind, bad))
+    sphere, floor = ("particles", "sphere"), ("walls", "floor")
+    beads, column = ("particles", "beads"), ("walls", "column")
     for text, ways in (
-        (SINGLE, [("particles", 0, "diameter"), ("run", "steps_per_contact"), ("contact", "e_n")]),
-        (BED, [("gas", "U_0"), ("gas", "viscosity"), ("run", "coupling"), ("column", "width"), ("particles", "count")]),
+        (SINGLE, [(*sphere, "material"), (*floor, "material"), (*floor, "axis"), (*floor, "shape")]),
+        (BED, [(*beads, "material"), (*beads, "place"), (*column, "material"), (*column, "shape")]),
+        (BED, [("gas", "drag"), ("gas", "walls"), ("layer",)]),
     ):
         for way in ways:
-            with pytest.raises(CaseFileError):
-                load(text, changed(text, way, f"0.02{bad}"))
+            with pytest.raises(CaseFileError, match=way[-1]):
+                load(text, changed(text, way, bad))
+    with pytest.raises(CaseFileError, match="periodic"):
+        load(BED, changed(BED, ("periodic",), [bad]))
+    numbers: list[tuple[str, list[tuple[str | int, ...]]]] = [
+        (SINGLE, [(*sphere, "diameter"), ("run", "steps_per_contact"), ("contact", "e_n")]),
+        (BED, [("gas", "U_0"), ("gas", "viscosity"), ("run", "coupling"), (*beads, "count"), (*column, "size", 0)]),
+    ]
+    for text, places in numbers:
+        for place in places:
+            with pytest.raises(CaseFileError, match=str(place[-1] if place[-1] != 0 else place[-2])):
+                load(text, changed(text, place, f"0.02{bad}"))
 
 
 @pytest.mark.parametrize("bad", [text for text in HOSTILE if text.isprintable()])
@@ -138,7 +150,7 @@ def test_what_is_rendered_for_every_shipped_case_holds_no_code(name: str, tmp_pa
     text = find_case(name).read_text()
     tables = changed(text, ("title",), "HOSTILE; shell touch ran; #calc")
     scene = load(text, tables, name=name)
-    if isinstance(scene, BedScene):
+    if scene.coupled:
         for kind, model in plan(scene).items():
             if model.contacts:
                 (tmp_path / f"{kind}.in").write_text(deck_text(bed_deck(model)))

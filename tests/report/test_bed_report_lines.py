@@ -78,7 +78,7 @@ def without_dem(scene, **arrays):
 
 
 def test_a_frozen_bed_shows_nothing_that_moves(tmp_path):
-    scene = replace(SCENE, particles=replace(SCENE.particles, frozen=True))
+    scene = SCENE.with_group(frozen=True)
     page = report(without_dem(scene, kinetic_energy=np.zeros(200)), tmp_path)
     images = set(re.findall(r'<img src="([^"]+)"', page))
     assert {"p_in.svg", "voidage.svg"} <= images
@@ -90,7 +90,7 @@ def test_a_frozen_bed_shows_nothing_that_moves(tmp_path):
 
 
 def test_a_single_particle_is_no_bed(tmp_path):
-    scene = replace(SCENE, particles=replace(SCENE.particles, count=1))
+    scene = SCENE.with_group(count=1)
     runs = [run_data(kind, n, scene=scene, length=1.0, bubble=False) for n, kind in enumerate(("linear", "hertz"))]
     page = report(compare(*runs), tmp_path)
     assert "Height of the particle." in page

@@ -105,10 +105,11 @@ def report(comparison: Comparison, tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def hostile(tmp_path_factory) -> Path:
-    scene = on_wall()
-    ball = replace(scene.particles[0], name=HOSTILE)
-    scene = replace(CASE, name=HOSTILE, title=HOSTILE, source=HOSTILE, particles=(ball,))
-    scene = replace(scene, tolerances={HOSTILE: 0.1})
+    scene = replace(CASE, title=HOSTILE, source=HOSTILE, tolerances={HOSTILE: 0.1})
+    ball = replace(scene.spheres[0], name=HOSTILE, group=HOSTILE)
+    # names that the classes themselves refuse
+    for field, value in (("name", HOSTILE), ("particles", {HOSTILE: scene.particles["bead"]}), ("spheres", (ball,))):
+        object.__setattr__(scene, field, value)
     return write(compared(scene, exact=False), tmp_path_factory.mktemp("hostile"), HOSTILE)
 
 

@@ -19,13 +19,18 @@ from kncal.engines.dpmfoam.adapter_build import find
 from kncal.record.openfoam import read_cells
 from kncal.record.series import UNITS, read_series
 from kncal.runs.workflow import render_case, run_case
-from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import load_case
 from kncal.scene.plan import plan
+from kncal.scene.scene import Scene
 
 COUNT, END = 60, 0.005
 #: A loose lattice needs no settling; ten couplings.
-SMALL = [f"particles.count={COUNT}", "particles.packing=lattice", f"run.end_time={END}", "run.frames_every=0.0025"]
+SMALL = [
+    f"particles.beads.count={COUNT}",
+    "particles.beads.place=lattice",
+    f"run.until_time={END}",
+    "run.frames_every=0.0025",
+]
 FLAGS = [flag for value in SMALL for flag in ("--set", value)]
 GAS_FILES = (
     "system/blockMeshDict",
@@ -36,10 +41,8 @@ GAS_FILES = (
 )
 
 
-def small(*more: str) -> BedScene:
-    scene = load_case("bubbling_bed_mini", overrides=[*SMALL, *more])
-    assert isinstance(scene, BedScene)
-    return scene
+def small(*more: str) -> Scene:
+    return load_case("bubbling_bed_mini", overrides=[*SMALL, *more])
 
 
 def kncal(capsys, *arguments):
@@ -61,11 +64,11 @@ def test_a_rendered_bed_runs_by_hand(capsys, tmp_path):
     out = tmp_path / "two decks"
     code, printed, _ = kncal(capsys, "render", "bubbling_bed_mini", *FLAGS, "--out", out)
     assert code == 0
-    assert "needs kncal" in printed
+    assert "Both together need kncal run" in printed
     model = plan(small(), ("linear",))["linear"]
     steps = 100
     fall = 0.5 * 9.81 * (steps * model.dt) ** 2
-    assert fall < 0.04 * model.scene.particles.diameter  # the least gap of the lattice
+    assert fall < 0.04 * model.scene.group.diameter  # the least gap of the lattice
     done = subprocess.run(["./Allrun", str(steps)], cwd=out / "linear", capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     start = positions((out / "linear/particles/particles.data").read_text())
@@ -73,7 +76,7 @@ def test_a_rendered_bed_runs_by_hand(capsys, tmp_path):
     dump = (out / "linear/particles/settled.dump").read_text().splitlines()
     rows = np.array([[float(word) for word in line.split()] for line in dump[9:]])
     end = rows[np.argsort(rows[:, 0])][:, 2:5]
-    free = start[:, 2] - 0.5 * model.scene.particles.diameter > 1.1 * fall  # the others touch the floor
+    free = start[:, 2] - 0.5 * model.scene.group.diameter > 1.1 * fall  # the others touch the floor
     assert free.sum() > 0.9 * COUNT
     # the dump prints six digits of coordinates up to 0.03 m, at most 5e-8 m off
     np.testing.assert_allclose((end - start)[free], np.tile([0.0, 0.0, -fall], (free.sum(), 1)), atol=5.1e-8)
@@ -91,7 +94,7 @@ def test_a_rendered_bed_runs_by_hand(capsys, tmp_path):
 def test_rendered_input_is_what_a_run_runs_and_a_folder_may_have_spaces(tmp_path):
     """Same deck, same dictionaries; and to the last bit the same numbers in a folder that OpenFOAM refuses by name."""
     scene = small()
-    few = replace(scene, run=replace(scene.run, end_time=0.002, frames_every=0.001))
+    few = replace(scene, run=replace(scene.run, until_time=0.002, frames_every=0.001))
     render_case(few, Coupled(), tmp_path / "decks", ("linear",))
     transports = ("restart",) if find() is None else ("restart", "live")
     series = []
@@ -115,14 +118,14 @@ def test_compare_for_paraview_and_for_machines(capsys, tmp_path):
     import pyvista
 
     out = tmp_path / "a bed"
-    end = "run.end_time=0.012"
-    flags = [end if flag.startswith("run.end_time") else flag for flag in FLAGS]
+    end = "run.until_time=0.012"
+    flags = [end if flag.startswith("run.until_time") else flag for flag in FLAGS]
     code, printed, err = kncal(capsys, "compare", "bubbling_bed_mini", *flags, "--out", out, "--paraview", "--json")
     assert code == 1, err
     data = json.loads(printed)
     assert data["state"] in ("undecided", "outside")
     page = (out / "report" / "index.html").read_text(encoding="utf-8")
-    assert "run.end_time = 0.012" in page
+    assert "run.until_time = 0.012" in page
     for kind in ("linear", "hertz"):
         series = read_series(out / kind / "series")
         reader = pyvista.get_reader(out / kind / "paraview" / "bed.pvd")
@@ -153,7 +156,12 @@ def test_render_leaves_a_foreign_folder_alone(tmp_path):
     ("case", "flags", "has", "lacks"),
     [
         ("bubbling_bed_mini", FLAGS, ["particles", "gas"], []),
-        ("packed_bed", ["--set", "particles.packing=lattice", "--set", "particles.count=60"], ["gas"], ["particles"]),
+        (
+            "packed_bed",
+            ["--set", "particles.beads.place=lattice", "--set", "particles.beads.count=60"],
+            ["gas"],
+            ["particles"],
+        ),
     ],
 )
 def test_what_nothing_runs_is_not_rendered(capsys, tmp_path, case, flags, has, lacks):
@@ -172,9 +180,8 @@ def test_kn_of_a_bed_has_both_pairs_with_the_numbers_of_its_models(capsys):
     code, out, _ = kncal(capsys, "kn", "bubbling_bed_mini", "--json")
     assert code == 0
     pairs = json.loads(out)["pairs"]
-    assert set(pairs) == {"particles–particles", "particles–walls"}
+    assert set(pairs) == {"beads–beads", "beads–column"}
     scene = load_case("bubbling_bed_mini")
-    assert isinstance(scene, BedScene)
     for (a, b), contact in plan(scene, ("linear",))["linear"].named.items():
         (row,) = [row for row in pairs[f"{a}–{b}"]["methods"] if row["method"] == "mean_overlap"]
         assert row["k_n"] == contact.k
@@ -184,7 +191,7 @@ def test_kn_of_a_bed_has_both_pairs_with_the_numbers_of_its_models(capsys):
 def test_kn_of_a_bed_with_a_prescribed_stiffness_says_so(capsys):
     code, out, _ = kncal(capsys, "kn", "bubbling_bed")
     assert code == 0
-    assert "particles–walls: the case prescribes k_n = 1 kN/m" in out
+    assert "beads–column: the case prescribes k_n = 1 kN/m" in out
 
 
 _BAR = """

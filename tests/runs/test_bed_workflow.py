@@ -23,9 +23,9 @@ from kncal.engines.dpmfoam.adapter_build import find
 from kncal.record.series import BedSeries, read_series
 from kncal.runs.solving import plan_checked
 from kncal.runs.workflow import load, run_case
-from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import dump_case, load_case
 from kncal.scene.plan import plan
+from kncal.scene.scene import Scene
 
 pytestmark = pytest.mark.solver
 
@@ -34,12 +34,11 @@ END = 0.005
 NUMBERS = ("p_in", "drag_z", "floor", "z_mean", "kinetic_energy", "overlap_max", "momentum_z")  # of every coupling
 
 
-def mini(end_time: float = END, count: int = 400) -> BedScene:
+def mini(end_time: float = END, count: int = 400) -> Scene:
     """The shipped mini bed with fewer particles and less time; a loose lattice needs no settling."""
     scene = load_case("bubbling_bed_mini")
-    assert isinstance(scene, BedScene)
-    particles = replace(scene.particles, count=count, packing="lattice")
-    return replace(scene, particles=particles, run=replace(scene.run, end_time=end_time), tolerances={})
+    scene = scene.with_group(count=count, place="lattice")
+    return replace(scene, run=replace(scene.run, until_time=end_time), tolerances={})
 
 
 def numbers(series: BedSeries) -> np.ndarray:
@@ -191,7 +190,7 @@ def test_the_solvers_of_a_bed_own_its_folder(tmp_path, transport):
 
 def test_impossible_beds_are_refused_before_anything_is_written(tmp_path):
     scene = mini()
-    small = replace(scene, column=replace(scene.column, cells=(40, 8, 120)))
+    small = replace(scene, gas=replace(scene.gas, cells=(40, 8, 120)))
     with pytest.raises(CaseFileError, match="cell"):
         plan_checked(small, ("linear",))
     with pytest.raises(CaseFileError):
@@ -292,4 +291,4 @@ def test_gas_alone_flows_as_a_plug_and_weighs_nothing(tmp_path):
     frames.set_active_time_point(1)
     particles, gas = frames.read()
     assert particles.n_points == 0
-    assert gas.n_cells == np.prod(scene.column.cells)
+    assert gas.n_cells == np.prod(scene.gas.cells)

@@ -19,11 +19,11 @@ from kncal.runs.cleaning import clean, plan_cleaning
 from kncal.runs.records import RESULT
 from kncal.runs.states import ADVICE, STATES, case_states, run_state
 from kncal.runs.workflow import run_case
-from kncal.scene.case_file import load_scene
+from kncal.scene.case_file import load_case
 
 pytestmark = pytest.mark.slow
 
-SCENE = load_scene("wall_impact")
+SCENE = load_case("wall_impact")
 
 
 @pytest.fixture

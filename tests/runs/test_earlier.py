@@ -13,10 +13,10 @@ from kncal.runs.folder import read_result
 from kncal.runs.records import RESULT, STARTED
 from kncal.runs.states import case_states, find_run_folders, run_state
 from kncal.runs.workflow import render_case, run_case
-from kncal.scene.case_file import load_scene
+from kncal.scene.case_file import load_case
 from kncal.scene.model import KINDS
 
-SCENE = load_scene("wall_impact")
+SCENE = load_case("wall_impact")
 
 
 @pytest.fixture

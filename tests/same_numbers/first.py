@@ -14,7 +14,7 @@ from kncal.bed.limits import check_bed
 from kncal.bed.needs import decide as decide_bed
 from kncal.bed.packing import lattice
 from kncal.bed.planning import plan_bed
-from kncal.bed.scene import BedScene
+from kncal.bed.scene import Scene
 from kncal.case_file import parse_case
 from kncal.coupling.dem_deck import write_deck
 from kncal.coupling.gas_case import write_case
@@ -27,7 +27,7 @@ from kncal.scene_limits import check_scene
 
 
 def bed(scene):
-    return isinstance(scene, BedScene)
+    return isinstance(scene, Scene)
 
 
 def render(model, needs, folder):

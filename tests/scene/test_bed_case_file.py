@@ -4,46 +4,44 @@ import json
 import re
 import tracemalloc
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from shipped import BEDS
 
 from kncal.core.errors import CaseFileError, InputError
 from kncal.core.shipped import folder
-from kncal.scene.bed_case_checks import _too_close
-from kncal.scene.bed_case_file import dump_bed, load_bed, parse_bed
-from kncal.scene.bed_scene import DEPTHS, PACKINGS, PARCELS, BedScene, Gas, Jet
-from kncal.scene.bed_schema import BedParticlesTable, ColumnTable, GasTable
-from kncal.scene.case_file import load_case, load_scene, shipped_cases
+from kncal.scene.case_checks import _too_close
+from kncal.scene.case_file import dump_case, load_case, parse_case
 from kncal.scene.metrics import COUPLED, offered
 from kncal.scene.needs import decide
-from kncal.scene.scene import Scene
+from kncal.scene.placement import PLACEMENTS
+from kncal.scene.scene import PARCELS, Gas, Jet, RunControl
 
 GOOD = """\
 title = "a bed"
-gravity = 9.8
+gravity = [0.0, 0.0, -9.8]    # m/s²
 
 [materials.soft]
 young = 5e6
 poisson = 0.3
 density = 1000.0
 
-[column]
-width = 0.03
-depth = 0.006
-height = 0.09
-cells = [10, 2, 30]
-wall_material = "soft"
+[walls.column]
+shape = "box"
+size = [0.03, 0.006, 0.09]
+material = "soft"
 
-[particles]
+[particles.beads]
 count = 300
+place = "settled"
 diameter = 0.0012
 material = "soft"
 
 [gas]
+cells = [10, 2, 30]
 density = 1.2
 viscosity = 1.8e-5
 U_0 = 0.8
@@ -54,11 +52,11 @@ v_0 = 0.2
 friction = 0.1
 
 [[contact.pairs]]
-between = ["particles", "walls"]
+between = ["beads", "column"]
 friction = 0.3
 
 [run]
-end_time = 0.5
+until_time = 0.5
 coupling = 5e-4
 
 [tolerances]
@@ -67,64 +65,67 @@ pressure_drop = 0.03
 [needs]
 tangential = false
 """
-BEDS = shipped_cases(beds=True)
 
 
 def test_what_is_said_comes_through():
-    bed = parse_bed(GOOD, name="sample")
-    assert isinstance(bed, BedScene)
-    assert (bed.name, bed.title, bed.gravity) == ("sample", "a bed", 9.8)
-    assert bed.column.cells == (10, 2, 30)
-    assert bed.column.wall_material is bed.particles.material
-    assert (bed.particles.count, bed.particles.packing, bed.particles.frozen) == (300, "settled", False)
-    assert bed.gas == Gas(density=1.2, viscosity=1.8e-5, U_0=0.8)
-    assert bed.contact.pairs[0].between == ("particles", "walls")
-    assert (bed.run.end_time, bed.run.coupling, bed.run.discard) == (0.5, 5e-4, None)
+    bed = parse_case(GOOD, name="sample")
+    assert (bed.name, bed.title, bed.gravity, bed.g) == ("sample", "a bed", (0.0, 0.0, -9.8), 9.8)
+    assert (bed.box.width, bed.box.depth, bed.box.height) == (0.03, 0.006, 0.09)
+    assert [body.name for body in bed.bodies] == ["beads", "column"]
+    assert bed.planes[0].material is bed.spheres[0].material
+    assert (bed.group.number, bed.group.place, bed.group.frozen) == (300, "settled", False)
+    assert bed.gas == Gas(cells=(10, 2, 30), density=1.2, viscosity=1.8e-5, U_0=0.8)
+    assert bed.contact.pairs[0].between == ("beads", "column")
+    assert (bed.run.until_time, bed.run.coupling, bed.run.discard) == (0.5, 5e-4, None)
     assert bed.tolerances == {"pressure_drop": 0.03}
-    assert bed.overrules == {"tangential": False}
+    assert bed.needs == {"tangential": False}
 
 
 def test_gas_may_be_missing_jet_and_ramp_come_through():
-    dry = parse_bed(re.sub(r"\[gas\].*?(?=\[contact\])", "", GOOD, flags=re.S), name="dry")
+    dry = parse_case(re.sub(r"\[gas\].*?(?=\[contact\])", "", GOOD, flags=re.S), name="dry")
     assert dry.gas is None
-    jet = parse_bed(
+    jet = parse_case(
         GOOD.replace("U_0 = 0.8\n", "[gas.jet]\nx_low = 0.012\nx_high = 0.018\nvelocity = 5.0\n"), name="jet"
     )
     assert jet.gas is not None
     assert jet.gas.jet == Jet(x_low=0.012, x_high=0.018, velocity=5.0)
     assert jet.gas.inlet_at(0.1) == 0.0
-    ramp = parse_bed(GOOD.replace("U_0 = 0.8", "ramp = [[0.1, 0.2], [0.3, 0.6]]"), name="ramp")
+    ramp = parse_case(GOOD.replace("U_0 = 0.8", "ramp = [[0.1, 0.2], [0.3, 0.6]]"), name="ramp")
     assert ramp.gas is not None
     assert [ramp.gas.inlet_at(t) for t in (0.0, 0.1, 0.2, 0.3, 9.0)] == pytest.approx([0.2, 0.2, 0.4, 0.6, 0.6])
 
 
+SIZE, BEADS = "size = [0.03, 0.006, 0.09]", 'count = 300\nplace = "settled"'
 FAULTS = [
     # (what to change, into what, part of the message, key on the line that is named)
-    ("width = 0.03", "width = -0.03", "column.width", "width"),
-    ("width = 0.03", 'width = "30 mm"', "expected a number in SI units", "width"),
-    ("width = 0.03", "wide = 0.03", "did you mean 'width'?", "wide"),
-    ("depth = 0.006", "depth = 0.001", "at least a particle's diameter, 0.0012 m", "depth"),
+    (SIZE, "size = [-0.03, 0.006, 0.09]", "walls.column.size[0]", "size"),
+    (SIZE, 'size = ["30 mm", 0.006, 0.09]', "expected a number in SI units", "size"),
+    (SIZE, "sice = [0.03, 0.006, 0.09]", "did you mean 'size'?", "sice"),
+    (SIZE, "size = [0.03, 0.006]", "2 entries for the [width, depth, height]", "size"),
+    (SIZE, "size = [0.03, 0.001, 0.09]", "at least a particle's diameter, 0.0012 m", "size"),
     ("cells = [10, 2, 30]", "cells = [10, 2]", "2 entries for the numbers of gas cells", "cells"),
-    ("cells = [10, 2, 30]", "cells = [10, 0, 30]", "column.cells[1] = 0", "cells"),
+    ("cells = [10, 2, 30]", "cells = [10, 0, 30]", "gas.cells[1] = 0", "cells"),
     ("cells = [10, 2, 30]", "cells = [10, 2.0, 30]", "whole number", "cells"),
-    ('wall_material = "soft"', 'wall_material = "sofd"', "did you mean 'soft'?", "wall_material"),
-    ('wall_material = "soft"', 'front_back = "layer"', "expected one cell in y", "cells"),
-    ('wall_material = "soft"', 'front_back = "layers"', "'layer'", "front_back"),
-    ("count = 300", "count = 30000", "fills 1.68 of the column", "count"),
-    ("count = 300", "count = 300\npositions = [[0.01, 0.003, 0.01]]", 'expected packing = "given"', "positions"),
-    ("count = 300", 'count = 1\npacking = "given"', "0 of them: expected as many as count, 1", None),
+    ('material = "soft"\n\n[particles', 'material = "sofd"\n\n[particles', "did you mean 'soft'?", None),
+    ('title = "a bed"', 'title = "a bed"\nlayer = "y"', "expected one cell in y", "cells"),
+    ('title = "a bed"', 'title = "a bed"\nlayer = "x"', "expected only y, the depth", "layer"),
+    ('title = "a bed"', 'title = "a bed"\nperiodic = ["y", "z"]', "expected only y, the depth", "periodic"),
+    ('title = "a bed"', 'title = "a bed"\nlayer = "y"\nperiodic = ["y"]', "given together with periodic", "layer"),
+    ("count = 300", "count = 30000", "fills 1.68 of the box", "count"),
+    ("count = 300\n", "", "count: missing: expected number of particles", None),
+    (BEADS, f"{BEADS}\npositions = [[0.01, 0.003, 0.01]]", 'expected place = "given"', "positions"),
+    (BEADS, "count = 1", "0 of them: expected as many as count, 1", None),
+    (BEADS, 'place = "setled"\ncount = 300', "did you mean 'settled'?", "place"),
+    (BEADS, "positions = [[0.04, 0.003, 0.01]]", "expected a centre inside the box", "positions"),
+    (BEADS, "position = [0.04, 0.003, 0.01]", "expected a centre inside the box", "position"),
     (
-        "count = 300",
-        'count = 1\npacking = "given"\npositions = [[0.04, 0.003, 0.01]]',
-        "expected a centre inside the column",
-        "positions",
-    ),
-    (
-        "count = 300",
-        'count = 2\npacking = "given"\npositions = [[0.01, 0.003, 0.01], [0.01, 0.0035, 0.01]]',
+        BEADS,
+        "positions = [[0.01, 0.003, 0.01], [0.01, 0.0035, 0.01]]",
         "overlaps positions[0] by more than a radius",
         "positions",
     ),
+    (BEADS, f"{BEADS}\nvelocity = [0.0, 0.0, 1.0]", "particles start at rest in a box", "velocity"),
+    (BEADS, "count = 300\nplace = 'lattice'\nsettle_k_n = 10.0", 'given together with place = "lattice"', "settle_k_n"),
     ('material = "soft"\n\n[gas]', 'material = "softer"\n\n[gas]', "did you mean 'soft'?", None),
     ("density = 1.2", "density = 1200.0", "expected less than the particles' 1000", "density"),
     ("viscosity = 1.8e-5", "viscosity = 1e-300", "gas.viscosity = 1e-300", "viscosity"),
@@ -133,22 +134,46 @@ FAULTS = [
     ("viscosity = 1.8e-5", "", "missing: expected dynamic viscosity [Pa s]", None),
     ("U_0 = 0.8", "U_0 = 0.8\nramp = [[0.0, 1.0]]", "expected one of U_0, ramp and jet", "ramp"),
     ("U_0 = 0.8", "ramp = [[0.0, 1.0], [0.0, 2.0]]", "expected them to increase", "ramp"),
+    ("U_0 = 0.8", "ramp = [[0.0, 1.0], [0.5, 2e3]]", "gas.ramp[1][1] = 2000.0", "ramp"),
     ("U_0 = 0.8", 'drag = "Gidaspow"', "'ErgunWenYu'", "drag"),
     ("U_0 = 0.8", "parcels_per_particle = 2", "parcels_per_particle = 2", "parcels_per_particle"),
     ("U_0 = 0.8", "[gas.jet]\nx_low = 0.02\nx_high = 0.01\nvelocity = 1.0", "expected above x_low = 0.02", "x_high"),
     ("v_0 = 0.2\n", "", "a bed has no first impact to take it from", None),
-    ('between = ["particles", "walls"]', 'between = ["particles", "floor"]', "between = 'floor'", "between"),
+    ('between = ["beads", "column"]', 'between = ["beads", "floor"]', "between = 'floor'", "between"),
+    ('between = ["beads", "column"]', 'between = ["column", "column"]', "expected names of two bodies", "between"),
     ("friction = 0.3", "", "changes nothing", None),
-    ("coupling = 5e-4", "coupling = 1.0", "expected at most end_time, 0.5 s", "coupling"),
+    ("coupling = 5e-4", "coupling = 1.0", "expected at most until_time, 0.5 s", "coupling"),
     ("coupling = 5e-4", "coupling = 5e-4\ngas_step = 1e-3", "expected at most the coupling interval", "gas_step"),
-    ("coupling = 5e-4", "coupling = 5e-4\ndiscard = 0.5", "expected less than end_time", "discard"),
-    ("coupling = 5e-4", "coupling = 5e-4\nuntil_time = 1.0", "unknown key", "until_time"),
-    ("gravity = 9.8", "gravity = [0.0, 0.0, -9.8]", "expected a number", "gravity"),
-    ("gravity = 9.8", "gravity = 0.0", "nothing settles", "gravity"),
+    ("coupling = 5e-4", "coupling = 5e-4\ndiscard = 0.5", "expected less than until_time", "discard"),
+    ("coupling = 5e-4", "coupling = 5e-4\ndt = 1e-6", "no meaning for a run that is coupled", "dt"),
+    ("coupling = 5e-4", "", "expected run.coupling [s]", None),
+    ("gravity = [0.0, 0.0, -9.8]", "gravity = [0.0, 0.0, 9.8]", "expected it downwards", "gravity"),
+    ("gravity = [0.0, 0.0, -9.8]", "gravity = [0.0, 1.0, -9.8]", "expected it downwards", "gravity"),
+    ("gravity = [0.0, 0.0, -9.8]", "", "nothing settles", None),
     ("pressure_drop = 0.03", "pressure_dorp = 0.03", "did you mean 'pressure_drop'?", "pressure_dorp"),
     ("tangential = false", "gas = false", "expected one of rolling, tangential", None),
-    ("[materials.soft]", "[materials.walls]", "stands for the bodies of a bed", None),
+    ("[gas]", '[walls.lid]\naxis = "z"\nposition = 0.08\nmaterial = "soft"\n\n[gas]', "only the wall of shape", None),
+    ("[gas]", '[particles.sand]\nmaterial = "soft"\ndiameter = 1e-3\n\n[gas]', "expected one group", None),
 ]
+
+#: As kncal 0.1 had them, and what its place is now.
+OLD = [
+    ("[walls.column]", "[column]", 'shape = "box"'),
+    ("[particles.beads]", "[particles]", "[particles.beads]"),
+    ("[particles.beads]", "[[particles]]", "[particles.NAME]"),
+    ("[walls.column]", "[[walls]]", "[walls.NAME]"),
+    ("until_time = 0.5", "end_time = 0.5", "run.until_time"),
+    ("gravity = [0.0, 0.0, -9.8]", "gravity = 9.8", "gravity = [0.0, 0.0, -9.8]"),
+]
+
+
+@pytest.mark.parametrize(("new", "old", "remedy"), OLD)
+def test_a_case_of_an_earlier_kncal_is_refused_in_one_line_with_the_new_spelling(new, old, remedy):
+    with pytest.raises(CaseFileError) as caught:
+        parse_case(GOOD.replace(new, old), name="sample", where="here/case.toml")
+    assert "\n" not in str(caught.value)
+    assert "kncal 0.1" in str(caught.value)
+    assert remedy in str(caught.value)
 
 
 def test_all_particles_in_one_place_are_found_without_counting_their_pairs():
@@ -176,7 +201,7 @@ def test_faults_are_named_with_line_key_and_remedy(old, new, text, key):
     assert GOOD.count(old) == 1
     bad = GOOD.replace(old, new)
     with pytest.raises(CaseFileError) as caught:
-        parse_bed(bad, name="sample", where="here/case.toml")
+        parse_case(bad, name="sample", where="here/case.toml")
     message = str(caught.value)
     assert text in message
     assert message.startswith("here/case.toml")
@@ -188,65 +213,32 @@ def test_faults_are_named_with_line_key_and_remedy(old, new, text, key):
 
 
 def test_a_layer_starts_in_its_middle_plane():
-    layer = GOOD.replace("cells = [10, 2, 30]", 'cells = [10, 1, 30]\nfront_back = "layer"')
-    given = 'count = 1\npacking = "given"\npositions = [[0.01, {}, 0.01]]'
-    assert parse_bed(layer.replace("count = 300", given.format(0.003)), name="x").particles.positions[0][1] == 0.003
+    layer = GOOD.replace("cells = [10, 2, 30]", "cells = [10, 1, 30]").replace("gravity", 'layer = "y"\ngravity')
+    given = "position = [0.01, {}, 0.01]"
+    assert parse_case(layer.replace(BEADS, given.format(0.003)), name="x").group.centres[0][1] == 0.003
     with pytest.raises(CaseFileError, match="the middle plane of the layer"):
-        parse_bed(layer.replace("count = 300", given.format(0.0031)), name="x")
+        parse_case(layer.replace(BEADS, given.format(0.0031)), name="x")
 
 
 def test_frozen_at_given_places_and_gas_alone_need_no_contact():
-    frozen = 'count = 1\nfrozen = true\npacking = "given"\npositions = [[0.01, 0.003, 0.01]]'
-    for particles in (frozen, "count = 0"):
-        text = GOOD.replace("v_0 = 0.2\n", "").replace("count = 300", particles)
-        assert parse_bed(text, name="x").contact.v_0 is None
+    for particles in ("frozen = true\nposition = [0.01, 0.003, 0.01]", "count = 0"):
+        text = GOOD.replace("v_0 = 0.2\n", "").replace(BEADS, particles)
+        assert parse_case(text, name="x").contact.v_0 is None
 
 
 def test_all_faults_at_once():
-    bad = (
-        GOOD.replace("width = 0.03", "width = -1.0")
-        .replace("e_n = 0.9", "e_n = 2.0")
-        .replace("count = 300", "count = -1")
-    )
+    bad = GOOD.replace("[0.03,", "[-1.0,").replace("e_n = 0.9", "e_n = 2.0").replace("count = 300", "count = -1")
     with pytest.raises(CaseFileError) as caught:
-        parse_bed(bad, name="sample")
-    assert [key for key in ("column.width", "contact.e_n", "particles.count") if key in str(caught.value)] == [
-        "column.width",
-        "contact.e_n",
-        "particles.count",
-    ]
+        parse_case(bad, name="sample")
+    for key in ("walls.column.size", "contact.e_n", "particles.beads.count"):
+        assert key in str(caught.value)
 
 
-def test_the_choices_of_the_schema_are_those_of_the_scene():
-    fields = {
-        (ColumnTable, "front_back"): DEPTHS,
-        (BedParticlesTable, "packing"): PACKINGS,
-        (GasTable, "parcels_per_particle"): PARCELS,
-    }
-    for (table, name), choices in fields.items():
-        assert table.model_fields[name].annotation.__args__ == choices  # type: ignore[union-attr]
-
-
-# --- one door for both kinds of case --------------------------------------------------------------------------
-
-
-def test_a_column_makes_a_bed(tmp_path: Path):
-    home = tmp_path / "my_bed"
-    home.mkdir()
-    (home / "case.toml").write_text(GOOD, encoding="utf-8")
-    assert load_case(home) == load_bed(home) == parse_bed(GOOD, name="my_bed")
-    assert isinstance(load_case("wall_impact"), Scene)
-    with pytest.raises(CaseFileError, match=r"expected a case of single contacts, one of .*wall_impact"):
-        load_scene(home)
-    with pytest.raises(CaseFileError, match=r"column: missing: expected \[column\] with width"):
-        load_bed("wall_impact")
-
-
-def test_shipped_cases_are_beds_or_single_contacts():
-    assert set(BEDS) | set(shipped_cases(beds=False)) == set(shipped_cases())
-    assert not set(BEDS) & set(shipped_cases(beds=False))
-    assert all(isinstance(load_case(name), BedScene) for name in BEDS)
-    assert {"packed_bed", "fluidization_curve", "bubbling_bed_mini", "bubbling_bed"} <= set(BEDS)
+def test_the_choices_of_a_case_are_those_of_the_registries():
+    assert Gas.__pydantic_fields__["parcels_per_particle"].annotation.__args__ == PARCELS  # type: ignore[union-attr]
+    for place in PLACEMENTS:
+        own = "position = [0.01, 0.003, 0.01]" if place == "given" else "count = 1"
+        assert parse_case(GOOD.replace(BEADS, f'place = "{place}"\n{own}'), name="x").group.place == place
 
 
 # --- written back ---------------------------------------------------------------------------------------------
@@ -254,30 +246,31 @@ def test_shipped_cases_are_beds_or_single_contacts():
 
 @pytest.mark.parametrize("name", BEDS)
 def test_shipped_beds_are_written_back(name):
-    bed = load_bed(name)
-    assert parse_bed(dump_bed(bed), name=name) == bed
+    bed = load_case(name)
+    assert parse_case(dump_case(bed), name=name) == bed
 
 
 def test_odd_numbers_are_written_back_to_the_bit():
-    bed = parse_bed(GOOD, name="x")
+    bed = parse_case(GOOD, name="x")
     third = replace(
-        bed,
-        gas=Gas(density=1.0 / 3.0, viscosity=1e-5 / 7.0, jet=Jet(x_low=0.003, x_high=0.006, velocity=10.0 / 3.0)),
-        particles=replace(
-            bed.particles, count=2, packing="given", positions=((0.1 / 3, 0.001, 0.01), (0.02, 0.001, 1e-3 / 3))
+        bed.with_group(count=2, place="given", positions=((0.1 / 3, 0.001, 0.01), (0.02, 0.001, 1e-3 / 3))).with_box(
+            size=(0.2 / 3.0, 0.006, 0.09), material="rigid"
         ),
-        column=replace(bed.column, width=0.2 / 3.0, wall_material=None),
+        gas=Gas(
+            cells=(10, 2, 30),
+            density=1.0 / 3.0,
+            viscosity=1e-5 / 7.0,
+            jet=Jet(x_low=0.003, x_high=0.006, velocity=10.0 / 3.0),
+        ),
+        run=RunControl(until_time=1.0 / 3.0, coupling=1e-3 / 3.0, frames_every=0.1 / 3.0),
     )
-    assert parse_bed(dump_bed(third), name="x") == third
+    assert parse_case(dump_case(third), name="x") == third
 
 
 def test_what_no_case_file_may_say_is_refused():
-    bed = parse_bed(GOOD, name="x")
-    with pytest.raises(InputError, match=r"cannot be written.*column\.width"):
-        dump_bed(replace(bed, column=replace(bed.column, width=-1.0)))
-    other = replace(bed.particles.material, young=1e7)
-    with pytest.raises(InputError, match="two different materials are called 'soft'"):
-        dump_bed(replace(bed, column=replace(bed.column, wall_material=other)))
+    bed = parse_case(GOOD, name="x")
+    with pytest.raises(InputError, match=r"(?s)cannot be written.*at least a particle's diameter"):
+        dump_case(bed.with_box(size=(1e-4, 0.006, 0.09)))
 
 
 # --- the shipped beds -----------------------------------------------------------------------------------------
@@ -285,7 +278,7 @@ def test_what_no_case_file_may_say_is_refused():
 
 @pytest.mark.parametrize("name", BEDS)
 def test_shipped_beds_say_what_they_are(name):
-    home, bed = folder("cases") / name, load_bed(name)
+    home, bed = folder("cases") / name, load_case(name)
     lines = (home / "case.toml").read_text(encoding="utf-8").splitlines()
     assert lines[0].startswith("# ")
     assert lines[0].endswith("SI units.")
@@ -318,6 +311,6 @@ PROMISED = {
 
 @pytest.mark.parametrize("name", PROMISED)
 def test_shipped_beds_need_what_their_physics_says(name):
-    needs = decide(load_bed(name))
+    needs = decide(load_case(name))
     assert {item.name for item in needs.items if item.used} == PROMISED[name]
     assert needs.dimensions == (2 if name == "bubbling_bed" else 3)

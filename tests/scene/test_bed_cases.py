@@ -18,8 +18,8 @@ from kncal.engines.dpmfoam.adapter_build import find
 from kncal.observe.compare import compare
 from kncal.physics.fluidization import relaxation_time
 from kncal.runs.workflow import load, run_case
-from kncal.scene.bed_case_file import load_bed
-from kncal.scene.bed_scene import BedScene
+from kncal.scene.case_file import load_case
+from kncal.scene.scene import Scene
 
 pytestmark = pytest.mark.solver
 
@@ -30,19 +30,19 @@ def expected(name: str, metric: str) -> dict[str, Any]:
     return entry
 
 
-def held_drag(scene: BedScene, couplings: int, dt: float) -> float:
+def held_drag(scene: Scene, couplings: int, dt: float) -> float:
     """The final velocity by the coupled scheme itself, without a gas that moves.
 
     The drag of an interval is that of its start, implicit in the parcel: 1/(1 + dt/tau) of the explicit one. The
     particle then moves with that force held.
     """
-    gas, particle = scene.gas, scene.particles
+    gas, density = scene.gas, scene.density
     assert gas is not None
-    density, v = float(particle.material.density), 0.0
+    v = 0.0
     for _ in range(couplings):
         slip = gas.U_0 - v
-        tau = float(relaxation_time(density, particle.diameter, gas.density, gas.viscosity, slip=abs(slip)))
-        v += dt * (slip / (tau + dt) - scene.gravity * (1.0 - gas.density / density))
+        tau = float(relaxation_time(density, scene.group.diameter, gas.density, gas.viscosity, slip=abs(slip)))
+        v += dt * (slip / (tau + dt) - scene.g * (1.0 - gas.density / density))
     return v
 
 
@@ -57,8 +57,8 @@ def test_terminal_velocity(name: str, end_time: float, coupling: float, tmp_path
     """
     if end_time / coupling > 100 and find() is None:
         pytest.skip("too slow by restarts; the adapter of the live transport is not built: kncal adapter build")
-    case = load_bed(name)
-    scene = replace(case, run=replace(case.run, end_time=end_time, coupling=coupling))
+    case = load_case(name)
+    scene = replace(case, run=replace(case.run, until_time=end_time, coupling=coupling))
     results = run_case(scene, Coupled(), tmp_path / "run", ("linear",))
     assert results["linear"].status == "completed", results
     data = load(tmp_path / "run" / "linear")
@@ -82,7 +82,7 @@ def test_a_large_column_costs_no_more(tmp_path: Path) -> None:
     if find() is None:
         pytest.skip("too slow by restarts; the adapter of the live transport is not built: kncal adapter build")
     sets = ["column.width=0.1", "column.depth=0.1", "column.height=0.2", "particles.positions=[[0.05,0.05,0.1]]"]
-    sets += ["run.end_time=0.075", "run.coupling=1.5e-3"]
+    sets += ["run.until_time=0.075", "run.coupling=1.5e-3"]
     out = tmp_path / "run"
     arguments = ["run", "terminal_velocity", "--model", "linear", "--out", str(out)]
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -103,13 +103,12 @@ def test_a_large_column_costs_no_more(tmp_path: Path) -> None:
 
 def test_packed_bed(tmp_path: Path) -> None:
     """Fewer particles on the loose lattice they would settle from: no settling run; the gas follows in a few steps."""
-    case = load_bed("packed_bed")
+    case = load_case("packed_bed")
     ramp = tuple((0.01 * i + t, U_0) for i, U_0 in enumerate((0.1, 0.3, 0.6)) for t in (0.0, 0.0095))
     scene = replace(
-        case,
-        particles=replace(case.particles, count=1800, packing="lattice"),
+        case.with_group(count=1800, place="lattice"),
         gas=replace(case.gas, ramp=ramp),
-        run=replace(case.run, end_time=0.0295, frames_every=1e-3),
+        run=replace(case.run, until_time=0.0295, frames_every=1e-3),
     )
     out = tmp_path / "run"
     results = run_case(scene, Coupled(), out)

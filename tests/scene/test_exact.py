@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from models import GLASS, R, head_on, mass, model, on_wall
+from models import GLASS, R, head_on, mass, model, on_wall, with_bodies
 from scipy.linalg import expm
 from scipy.special import beta, lambertw
 
 from kncal.core.errors import InputError, ValidityError
+from kncal.scene.bodies import Particle, Wall
 from kncal.scene.exact import bounce_time, damped_bounce, gross_sliding, slip_end, solve
-from kncal.scene.model import Model
-from kncal.scene.scene import Particle, Scene, Wall
+from kncal.scene.model import Plan
+from kncal.scene.scene import Scene
 
 KINDS = ("linear", "hertz")
 RESTITUTIONS = st.floats(0.1, 1.0)
@@ -105,17 +106,17 @@ def test_stiff_springs_bounce_like_hard_spheres() -> None:
         assert x[0, 0, 2] - R == pytest.approx(0.02 * 0.8 ** (2 * k), rel=2e-4)
 
 
-def stacked(*, e_n: float = 0.9) -> Model:
+def stacked(*, e_n: float = 0.9) -> Plan:
     """Two stacked beads pressed between two plates, after the verification case DEM03 of MFIX."""
     r = 0.5e-3
-    heavy, light = (dataclasses.replace(GLASS, density=rho) for rho in (20000.0, 10000.0))
-    scene = Scene(
+    heavy, light = (dataclasses.replace(GLASS, name=f"glass-{rho:g}", density=rho) for rho in (20000.0, 10000.0))
+    scene = Scene.of(
         name="stacked",
-        particles=(
+        spheres=(
             Particle(name="low", material=heavy, radius=r, position=(0.0, 0.0, 0.45e-3)),
             Particle(name="up", material=light, radius=r, position=(0.0, 0.0, 1.35e-3)),
         ),
-        walls=(
+        planes=(
             Wall(name="floor", axis="z", position=0.0, material=GLASS),
             Wall(name="lid", axis="z", position=1.8e-3, material=GLASS),
         ),
@@ -128,7 +129,7 @@ def stacked(*, e_n: float = 0.9) -> Model:
 def test_stacked_particles_follow_the_matrix_exponential(e_n: float) -> None:
     given_ = stacked(e_n=e_n)
     pair_, floor, lid = (given_.between(*k) for k in (("low", "up"), ("low", "floor"), ("up", "lid")))
-    m_1, m_2 = (mass(p) for p in given_.scene.particles)
+    m_1, m_2 = (mass(p) for p in given_.scene.spheres)
     r, length, g, k = 0.5e-3, 1.8e-3, 9.80665, pair_.k
     # y = (y_1, y_2, v_1, v_2, 1)
     a = np.zeros((5, 5))
@@ -151,15 +152,15 @@ def test_stacked_particles_follow_the_matrix_exponential(e_n: float) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_oblique_collision_without_friction_conserves_all(kind: str) -> None:
     scene = head_on(radius_2=2 * R)
-    second = dataclasses.replace(scene.particles[1], position=(3.1e-3, 1e-3, 0.5e-3), velocity=(-1.0, 0.1, 0.2))
-    scene = dataclasses.replace(scene, particles=(scene.particles[0], second))
+    second = dataclasses.replace(scene.spheres[1], position=(3.1e-3, 1e-3, 0.5e-3), velocity=(-1.0, 0.1, 0.2))
+    scene = with_bodies(scene, spheres=(scene.spheres[0], second))
     given_ = model(scene, kind, t_end=3e-3)
     solution = solve(given_, 3e-3)
     assert [c.complete for c in solution.contacts] == [True]
     contact, event = given_.between("a", "b"), solution.contacts[0]
     times = np.linspace(0.0, 3e-3, 400)
     x, v = solution.at(times)
-    m = np.array([mass(p) for p in scene.particles])
+    m = np.array([mass(p) for p in scene.spheres])
     delta = np.maximum(3 * R - np.linalg.norm(x[:, 1] - x[:, 0], axis=1), 0.0)
     energy = 0.5 * np.einsum("i,tik->t", m, v**2) + contact.k * delta ** (contact.n + 1.0) / (contact.n + 1.0)
     momentum = np.einsum("i,tik->tk", m, v)
@@ -178,7 +179,7 @@ def test_a_bead_hit_from_both_sides_stays(kind: str, end: str) -> None:
         Particle(name=name, material=GLASS, radius=R, position=(x, 0.0, 0.0), velocity=(v, 0.0, 0.0))
         for name, x, v in (("left", -2.01 * R, 1.0), ("mid", 0.0, 0.0), ("right", 2.01 * R, -1.0))
     )
-    given_ = model(Scene(name="row", particles=beads), kind, t_end=2e-3, e_n=0.7, end=end)
+    given_ = model(Scene.of(name="row", spheres=beads), kind, t_end=2e-3, e_n=0.7, end=end)
     solution = solve(given_, 2e-3)
     x, v = solution.at(np.linspace(0.0, 2e-3, 50))
     assert [c.complete for c in solution.contacts] == [True, True]

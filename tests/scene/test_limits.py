@@ -5,46 +5,52 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from shipped import BEDS
 
 from kncal.core.errors import CaseFileError
 from kncal.physics.fluidization import minimum_fluidization_velocity, terminal_velocity
-from kncal.scene.bed_case_file import load_bed
-from kncal.scene.bed_scene import BedScene, Jet
-from kncal.scene.case_file import shipped_cases
+from kncal.scene.case_file import load_case
 from kncal.scene.finding import Finding, require_possible
 from kncal.scene.limits import check, findings_of
 from kncal.scene.load import EPS_SETTLED, largest_superficial, settled_height, settled_voidage
 from kncal.scene.plan import plan
+from kncal.scene.scene import Jet, Scene
 
-MINI = load_bed("bubbling_bed_mini")
-JET = load_bed("bubbling_bed")
-ONE = load_bed("terminal_velocity_intermediate")
+MINI = load_case("bubbling_bed_mini")
+JET = load_case("bubbling_bed")
+ONE = load_case("terminal_velocity_intermediate")
 
 
-def found(bed: BedScene, positions=None) -> dict[str, str]:
+def found(bed: Scene, positions=None) -> dict[str, str]:
     """Code -> level of every finding for the linear model."""
     return {f.code: f.level for f in check(plan(bed, ["linear"])["linear"], positions)}
 
 
-def message(bed: BedScene, code: str) -> str:
+def message(bed: Scene, code: str) -> str:
     return next(f.message for f in check(plan(bed, ["linear"])["linear"]) if f.code == code)
 
 
-def change(bed: BedScene, part: str, **values) -> BedScene:
+def change(bed: Scene, part: str, **values) -> Scene:
+    if part == "group":
+        return bed.with_group(**values)
+    if part == "box":
+        sides = zip(("width", "depth", "height"), bed.box.size, strict=True)
+        bed = bed.with_box(size=tuple(values.pop(name, size) for name, size in sides))
+        return change(bed, "gas", **values) if values else bed
     return replace(bed, **{part: replace(getattr(bed, part), **values)})
 
 
-@pytest.mark.parametrize("name", shipped_cases(beds=True))
+@pytest.mark.parametrize("name", BEDS)
 def test_shipped_beds_are_possible(name):
     """Nothing is refused; the jet bed's Courant number just above 1 is known and said in its README."""
-    for model in plan(load_bed(name)).values():
+    for model in plan(load_case(name)).values():
         findings = check(model)
         assert {(f.code, f.level) for f in findings} <= ({("courant", "warn")} if name == "bubbling_bed" else set())
         require_possible(findings)
 
 
 def test_refusals_come_first_and_are_raised_together():
-    bad = change(change(MINI, "column", cells=(40, 2, 30)), "run", coupling=9e-3)
+    bad = change(change(MINI, "gas", cells=(40, 2, 30)), "run", coupling=9e-3)
     findings = check(plan(bad)["linear"])
     levels = [f.level for f in findings]
     assert levels == sorted(levels, key=["refuse", "warn"].index)
@@ -69,13 +75,13 @@ def test_refusals_come_first_and_are_raised_together():
 )
 def test_gas_cells_against_the_particle(cells, level):
     """Edges of 2.5, 2.27, 1.0, 0.96 and 0.83 diameters."""
-    assert found(change(MINI, "column", cells=cells)).get("cell-size") == level
+    assert found(change(MINI, "gas", cells=cells)).get("cell-size") == level
 
 
 def test_satellite_parcels_allow_finer_cells_down_to_a_particle():
-    fine = change(change(MINI, "column", cells=(20, 4, 60)), "gas", parcels_per_particle=8)
+    fine = change(change(MINI, "gas", cells=(20, 4, 60)), "gas", parcels_per_particle=8)
     assert "cell-size" not in found(fine)
-    assert found(change(fine, "column", cells=(40, 4, 60)))["cell-size"] == "refuse"
+    assert found(change(fine, "gas", cells=(40, 4, 60)))["cell-size"] == "refuse"
 
 
 @pytest.mark.parametrize(
@@ -92,39 +98,39 @@ def test_satellite_parcels_allow_finer_cells_down_to_a_particle():
     ],
 )
 def test_gas_cells_against_the_bed(cells, code):
-    levels = found(change(MINI, "column", cells=cells))
+    levels = found(change(MINI, "gas", cells=cells))
     assert {c for c in levels if c in ("cell-single", "cell-coarse")} == ({code} if code else set())
     assert levels.get("cell-single", "refuse") == "refuse"
     assert levels.get("cell-coarse", "warn") == "warn"
 
 
 def test_large_gas_cells_are_right_for_one_particle_and_across_a_held_bed():
-    assert not set(found(change(ONE, "column", cells=(1, 1, 1)))) & {"cell-single", "cell-coarse"}
-    held = change(change(MINI, "particles", frozen=True), "column", cells=(1, 1, 30))
+    assert not set(found(change(ONE, "gas", cells=(1, 1, 1)))) & {"cell-single", "cell-coarse"}
+    held = change(change(MINI, "group", frozen=True), "gas", cells=(1, 1, 30))
     assert found(held).get("cell-single") is None
-    turned = change(MINI, "column", width=0.006, depth=0.03, cells=(2, 1, 30))
+    turned = change(MINI, "box", width=0.006, depth=0.03, cells=(2, 1, 30))
     assert found(turned)["cell-single"] == "refuse"
-    narrow = change(MINI, "column", width=0.0059, cells=(1, 1, 30))  # no room for two cells of 2.5 diameters
-    assert "cell-single" not in found(change(narrow, "column", depth=0.0059, height=0.5, cells=(1, 1, 160)))
+    narrow = change(MINI, "box", width=0.0059, cells=(1, 1, 30))  # no room for two cells of 2.5 diameters
+    assert "cell-single" not in found(change(narrow, "box", depth=0.0059, height=0.5, cells=(1, 1, 160)))
 
 
 def test_added_mass_of_a_liquid():
     heavy = change(MINI, "gas", density=51.0)  # of 1000
     assert found(heavy)["added-mass"] == "warn"
     assert "added-mass" not in found(change(MINI, "gas", density=49.0))
-    assert "added-mass" not in found(change(heavy, "particles", frozen=True))
-    assert found(change(ONE, "gas", density=0.06 * ONE.particles.material.density))["added-mass"] == "warn"
+    assert "added-mass" not in found(change(heavy, "group", frozen=True))
+    assert found(change(ONE, "gas", density=0.06 * ONE.density))["added-mass"] == "warn"
 
 
 def test_gas_that_would_be_compressed():
-    fast = change(change(MINI, "particles", count=0), "gas", U_0=101.0)
+    fast = change(change(MINI, "group", count=0), "gas", U_0=101.0)
     assert found(fast)["gas-fast"] == "warn"
     assert "gas-fast" not in found(change(fast, "gas", U_0=99.0))
 
 
 def test_drag_on_held_particles_in_a_long_gas_step():
     """Measured: 0.812 of Ergun's gradient at 0.5 ms, 0.990 at 0.02 ms, at a void fraction of 0.422."""
-    held = change(load_bed("packed_bed"), "gas", density=10.0, viscosity=1.5e-3, ramp=((0.0, 0.01), (0.04, 0.01)))
+    held = change(load_case("packed_bed"), "gas", density=10.0, viscosity=1.5e-3, ramp=((0.0, 0.01), (0.04, 0.01)))
     assert found(held)["held-drag"] == "warn"
     for run, ratio in ({"coupling": 5e-4}, 0.812), ({"coupling": 5e-4, "gas_step": 2e-5}, 0.990):
         text = message(change(held, "run", **run), "held-drag")
@@ -132,13 +138,13 @@ def test_drag_on_held_particles_in_a_long_gas_step():
         assert told == pytest.approx(ratio, abs=0.2 * (1.0 - ratio) + 0.002)  # the void fraction is not known yet
     named = float(message(held, "held-drag").partition("run.gas_step = ")[2].split()[0])
     assert "held-drag" not in found(change(held, "run", gas_step=0.99 * named))
-    assert "held-drag" not in found(load_bed("packed_bed"))
-    assert "held-drag" not in found(change(held, "particles", frozen=False))
+    assert "held-drag" not in found(load_case("packed_bed"))
+    assert "held-drag" not in found(change(held, "group", frozen=False))
 
 
 def test_the_depth_of_a_layer_is_no_cell_size():
     assert "cell-size" not in found(JET)
-    assert found(change(JET, "column", cells=(15, 1, 300)))["cell-size"] == "refuse"
+    assert found(change(JET, "gas", cells=(15, 1, 300)))["cell-size"] == "refuse"
 
 
 def test_courant_number_of_the_jet_is_that_of_a_run():
@@ -148,7 +154,7 @@ def test_courant_number_of_the_jet_is_that_of_a_run():
     assert "courant" not in found(slow)
     assert found(change(JET, "run", coupling=9.9e-4))["courant"] == "refuse"
     # half the speed on half the cell size is the same
-    half = change(change(JET, "gas", jet=Jet(x_low=0.07, x_high=0.08, velocity=21.0)), "column", cells=(15, 1, 90))
+    half = change(change(JET, "gas", jet=Jet(x_low=0.07, x_high=0.08, velocity=21.0)), "gas", cells=(15, 1, 90))
     assert message(half, "courant").partition("from")[0] == message(JET, "courant").partition("from")[0]
 
 
@@ -164,15 +170,15 @@ def test_the_gas_step_that_a_message_names_would_do():
 
 def test_interval_against_the_relaxation_time():
     """A single sphere, where the relaxation time is terminal velocity over g less buoyancy."""
-    p, gas = ONE.particles, ONE.gas
+    p, gas = ONE.group, ONE.gas
     assert gas is not None
-    fall = terminal_velocity(p.diameter, p.material.density, gas.density, gas.viscosity)
-    tau = fall / (9.81 * (1.0 - gas.density / p.material.density))
+    fall = terminal_velocity(p.diameter, ONE.density, gas.density, gas.viscosity)
+    tau = fall / (9.81 * (1.0 - gas.density / ONE.density))
     for share, level in ((0.0098, None), (0.0102, "warn"), (0.196, "warn"), (0.204, "refuse")):
-        bed = change(ONE, "run", coupling=share * tau, end_time=2.0, steps_per_contact=200.0)
+        bed = change(ONE, "run", coupling=share * tau, until_time=2.0, steps_per_contact=200.0)
         assert found(bed).get("relaxation") == level, share
     assert "about 1 % too small" in message(change(ONE, "run", coupling=0.0102 * tau), "relaxation")
-    assert "relaxation" not in found(change(change(ONE, "run", coupling=0.1 * tau), "particles", frozen=True))
+    assert "relaxation" not in found(change(change(ONE, "run", coupling=0.1 * tau), "group", frozen=True))
 
 
 def test_way_of_a_particle_per_interval():
@@ -199,7 +205,7 @@ def test_a_lone_particle_needs_no_step_for_twelve_contacts():
     assert found(few)["dem-step"] == "warn"
     texts = [f.message for f in check(plan(few, ["linear"])["linear"]) if f.code == "dem-step"]
     assert len(texts) == 1  # of the walls; a lone particle meets no other
-    two = change(few, "particles", count=2, positions=((0.001, 0.001, 0.01), (0.001, 0.001, 0.02)))
+    two = change(few, "group", position=None, positions=((0.001, 0.001, 0.01), (0.001, 0.001, 0.02)))
     assert found(two)["dem-step"] == "warn"
     assert found(change(MINI, "run", steps_per_contact=4.0))["dem-step"] == "refuse"
 
@@ -210,7 +216,7 @@ def test_gas_below_u_mf_is_flagged():
     U_mf = minimum_fluidization_velocity(1.2e-3, 1000.0, gas.density, gas.viscosity, EPS_SETTLED)
     assert found(change(MINI, "gas", U_0=0.99 * U_mf))["below-u-mf"] == "warn"
     assert "below-u-mf" not in found(change(MINI, "gas", U_0=1.01 * U_mf))
-    assert "below-u-mf" not in found(change(change(MINI, "gas", U_0=0.1), "particles", frozen=True))
+    assert "below-u-mf" not in found(change(change(MINI, "gas", U_0=0.1), "group", frozen=True))
     assert "below-u-mf" not in found(change(MINI, "gas", U_0=0.0, ramp=((0.0, 0.1), (1.0, 1.1 * U_mf))))
     thin = change(JET, "gas", jet=Jet(x_low=0.07, x_high=0.08, velocity=20.0))  # 1.33 m/s over the width
     assert found(thin)["below-u-mf"] == "warn"
@@ -223,9 +229,9 @@ def test_gas_that_carries_the_bed_away_is_flagged():
 
 def test_room_for_the_bed():
     H = settled_height(MINI)
-    low = tuple((n if i < 2 else 8) for i, n in enumerate(MINI.column.cells))
-    assert found(change(MINI, "column", height=0.99 * H, cells=low))["column-low"] == "refuse"
-    assert found(change(MINI, "column", height=1.5 * H, cells=low))["column-low"] == "warn"
+    low = tuple((n if i < 2 else 8) for i, n in enumerate(MINI.gas.cells))
+    assert found(change(MINI, "box", height=0.99 * H, cells=low))["column-low"] == "refuse"
+    assert found(change(MINI, "box", height=1.5 * H, cells=low))["column-low"] == "warn"
     assert "column-low" not in found(MINI)
 
 
@@ -233,35 +239,33 @@ def test_jet_on_cell_faces():
     off = change(JET, "gas", jet=Jet(x_low=0.07, x_high=0.0775, velocity=42.0))
     assert found(off)["jet-faces"] == "refuse"
     assert "nearest is 0.08" in message(off, "jet-faces")
-    assert "jet-faces" not in found(change(off, "column", cells=(60, 1, 45)))
+    assert "jet-faces" not in found(change(off, "gas", cells=(60, 1, 45)))
 
 
 def test_depth():
-    assert (
-        found(change(MINI, "column", front_back="periodic", depth=0.003, cells=(10, 1, 30)))["depth-periodic"]
-        == "refuse"
-    )
-    assert "depth-periodic" not in found(change(MINI, "column", front_back="periodic"))
-    assert found(change(JET, "column", front_back="walls"))["depth-one-layer"] == "warn"
+    periodic = replace(MINI, periodic=("y",))
+    assert found(change(periodic, "box", depth=0.003, cells=(10, 1, 30)))["depth-periodic"] == "refuse"
+    assert "depth-periodic" not in found(periodic)
+    assert found(replace(JET, layer=None))["depth-one-layer"] == "warn"
 
 
 def test_gas_or_particles_alone():
     assert found(replace(MINI, gas=None)) == {}
-    assert found(change(MINI, "particles", count=0)) == {}
+    assert found(change(MINI, "group", count=0)) == {}
 
 
 # --- positions ------------------------------------------------------------------------------------------------
 
 
-def lattice(bed: BedScene, pitch: float) -> np.ndarray:
+def lattice(bed: Scene, pitch: float) -> np.ndarray:
     """A simple cubic lattice from wall to wall, layer by layer."""
-    d = bed.particles.diameter
-    nx, ny = round(bed.column.width / (pitch * d)), round(bed.column.depth / (pitch * d))
-    n = math.ceil(bed.particles.count / (nx * ny))
-    x = (np.arange(nx) + 0.5) * bed.column.width / nx
-    y = (np.arange(ny) + 0.5) * bed.column.depth / ny
+    d = bed.group.diameter
+    nx, ny = round(bed.box.width / (pitch * d)), round(bed.box.depth / (pitch * d))
+    n = math.ceil(bed.group.number / (nx * ny))
+    x = (np.arange(nx) + 0.5) * bed.box.width / nx
+    y = (np.arange(ny) + 0.5) * bed.box.depth / ny
     z = (np.arange(n) + 0.5) * pitch * d
-    return np.array([(a, b, c) for c in z for a in x for b in y])[: bed.particles.count]
+    return np.array([(a, b, c) for c in z for a in x for b in y])[: bed.group.number]
 
 
 @pytest.mark.parametrize("pitch", [1.0, 1.25])
@@ -294,7 +298,7 @@ def test_positions_that_are_none():
 def test_superficial_velocity_and_height():
     assert largest_superficial(JET) == pytest.approx(2.8)
     assert largest_superficial(replace(MINI, gas=None)) == 0.0
-    assert largest_superficial(load_bed("packed_bed")) == 0.6
+    assert largest_superficial(load_case("packed_bed")) == 0.6
     # a void fraction of 0 is the solid volume over the area
     assert settled_height(JET, 0.0) * 0.15 * 0.004 == pytest.approx(2400 * math.pi / 6.0 * 0.004**3)
 

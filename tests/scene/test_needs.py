@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from models import with_bodies
 
 from kncal.core.errors import InputError
 from kncal.physics.material import Material
+from kncal.scene.bodies import Particle, Vector, Wall
 from kncal.scene.needs import OVERRULABLE, PHYSICS, decide
-from kncal.scene.scene import ContactChoice, PairChoice, Particle, RunControl, Scene, Vector, Wall
+from kncal.scene.scene import ContactChoice, PairChoice, RunControl, Scene
 
 GLASS = Material(name="glass", young=70e9, poisson=0.22, density=2500.0)
 FLOOR = Wall(name="floor", axis="z", position=0.0)
@@ -28,7 +30,7 @@ def ball(name: str, position: Vector, **more: Any) -> Particle:
 
 
 def scene(*particles: Particle, **more: Any) -> Scene:
-    return Scene(name="sample", particles=particles, run=RunControl(until_time=1.0), **more)
+    return Scene.of(name="sample", spheres=particles, run=RunControl(until_time=1.0), **more)
 
 
 def head_on(**more: Any) -> Scene:
@@ -57,28 +59,28 @@ def test_gravity_pulls_both_alike_and_leaves_a_head_on_impact_head_on() -> None:
     falling = head_on(contact=ROUGH, gravity=DOWN)
     assert used(falling) == {"pair_contacts", "damping", "gravity"}
     assert decide(falling).dimensions == 2
-    assert "tangential" in used(replace(falling, walls=(replace(FLOOR, position=-5.0),)))
+    assert "tangential" in used(with_bodies(falling, planes=(replace(FLOOR, position=-5.0),)))
 
 
 @pytest.mark.parametrize("spin", [(0.0, 0.0, 9.0), (0.0, -1e-3, 0.0)])
 def test_spin_across_the_normal_rubs_and_opens_a_plane(spin: Vector) -> None:
     start = head_on(contact=ROUGH)
-    left, right = start.particles
-    spinning = replace(start, particles=(replace(left, spin=spin), right))
+    left, right = start.spheres
+    spinning = with_bodies(start, spheres=(replace(left, spin=spin), right))
     assert {"tangential", "rotation"} <= used(spinning)
     assert "'left' spins" in reason(spinning, "tangential")
     assert decide(spinning).dimensions == 2
     smooth = replace(spinning, contact=ContactChoice())
     assert used(smooth) == {"pair_contacts"}
     assert decide(smooth).dimensions == 1
-    both = replace(start, particles=(replace(left, spin=(0.0, 1.0, 0.0)), replace(right, spin=(0.0, 0.0, 1.0))))
+    both = with_bodies(start, spheres=(replace(left, spin=(0.0, 1.0, 0.0)), replace(right, spin=(0.0, 0.0, 1.0))))
     assert decide(both).dimensions == 3
 
 
 def test_spin_about_the_line_of_centres_does_not_rub() -> None:
     start = head_on(contact=ROUGH)
-    left, right = start.particles
-    drilling = replace(start, particles=(replace(left, spin=(50.0, 0.0, 0.0)), right))
+    left, right = start.spheres
+    drilling = with_bodies(start, spheres=(replace(left, spin=(50.0, 0.0, 0.0)), right))
     assert used(drilling) == {"pair_contacts", "damping"}
     assert decide(drilling).dimensions == 1
 
@@ -97,39 +99,39 @@ def test_offset_centres_meet_at_an_angle_until_they_pass() -> None:
 
 def test_deflected_particle_may_hit_a_third() -> None:
     start = head_on(contact=ROUGH)
-    left, right = start.particles
+    left, right = start.spheres
     glancing = replace(right, position=(1.0, 0.5, 0.0))
     beside = ball("third", (0.0, -4.0, 0.0))
-    needs = decide(replace(start, particles=(left, glancing, beside)))
+    needs = decide(with_bodies(start, spheres=(left, glancing, beside)))
     assert needs.uses("pair_contacts")
     above = ball("third", (0.0, -4.0, 1.5))  # no force ever leaves the plane z = 0
-    assert decide(replace(start, particles=(left, glancing, above))).dimensions == 2
+    assert decide(with_bodies(start, spheres=(left, glancing, above))).dimensions == 2
 
 
 def test_drop_slide_and_throw_on_a_floor() -> None:
-    drop = scene(ball("a", (0.0, 0.0, 3.0)), walls=(FLOOR,), gravity=DOWN, contact=ROUGH)
+    drop = scene(ball("a", (0.0, 0.0, 3.0)), planes=(FLOOR,), gravity=DOWN, contact=ROUGH)
     assert used(drop) == {"gravity", "walls", "damping"}
     assert decide(drop).dimensions == 1
     resting = ball("a", (0.0, 0.0, 0.5 - 1e-9), velocity=(1.0, 0.0, 0.0))
-    slide = replace(drop, particles=(resting,))
+    slide = with_bodies(drop, spheres=(resting,))
     assert {"tangential", "rotation"} <= used(slide)
     assert decide(slide).dimensions == 2
-    touching = replace(drop, particles=(replace(resting, position=(0.0, 0.0, 0.5)),))
+    touching = with_bodies(drop, spheres=(replace(resting, position=(0.0, 0.0, 0.5)),))
     assert "tangential" in used(touching)
     weightless = replace(touching, gravity=(0.0, 0.0, 0.0))
     assert used(weightless) == set()
     assert "walls" not in used(replace(drop, gravity=(0.0, 0.0, 0.0)))
     away = ball("a", (0.0, 0.0, 3.0), velocity=(0.0, 0.0, 2.0))
-    assert "walls" in used(replace(drop, particles=(away,)))  # gravity brings it back
-    assert "walls" not in used(replace(drop, particles=(away,), gravity=(0.0, 0.0, 0.0)))
+    assert "walls" in used(with_bodies(drop, spheres=(away,)))  # gravity brings it back
+    assert "walls" not in used(with_bodies(drop, spheres=(away,), gravity=(0.0, 0.0, 0.0)))
 
 
 def test_walls_that_nothing_reaches() -> None:
     side = Wall(name="side", axis="x", position=9.0)
-    drop = scene(ball("a", (0.0, 0.0, 3.0)), walls=(FLOOR, side), gravity=DOWN, contact=ROUGH)
+    drop = scene(ball("a", (0.0, 0.0, 3.0)), planes=(FLOOR, side), gravity=DOWN, contact=ROUGH)
     assert reason(drop, "walls") == "'floor' can be touched"
     assert decide(drop).dimensions == 1
-    only_side = replace(drop, walls=(side,))
+    only_side = with_bodies(drop, planes=(side,))
     assert reason(only_side, "walls") == "no wall can be touched"
     assert reason(only_side, "damping") == "nothing can touch"
 
@@ -142,11 +144,11 @@ def test_friction_and_restitution_of_single_pairs_count() -> None:
         PairChoice(between=("glass", "rigid"), friction=0.7),
     )
     contact = ContactChoice(friction=0.3, pairs=exceptions)
-    at_floor = scene(thrown, other, walls=(FLOOR,), gravity=DOWN, contact=contact)
+    at_floor = scene(thrown, other, planes=(FLOOR,), gravity=DOWN, contact=contact)
     assert at_floor.choice_for(thrown, FLOOR) is exceptions[0]
     assert at_floor.choice_for(other, FLOOR) is exceptions[1]
     assert at_floor.choice_for(thrown, other) is None
-    alone = replace(at_floor, particles=(thrown,))
+    alone = with_bodies(at_floor, spheres=(thrown,))
     assert "tangential" not in used(alone)
     assert "damping" in used(alone)
     assert "tangential" in used(replace(alone, contact=replace(contact, pairs=exceptions[1:])))
@@ -154,33 +156,33 @@ def test_friction_and_restitution_of_single_pairs_count() -> None:
 
 def test_rolling_friction_needs_something_that_rolls() -> None:
     rolling = ContactChoice(friction=0.3, rolling_friction=0.1)
-    drop = scene(ball("a", (0.0, 0.0, 3.0)), walls=(FLOOR,), gravity=DOWN, contact=rolling)
+    drop = scene(ball("a", (0.0, 0.0, 3.0)), planes=(FLOOR,), gravity=DOWN, contact=rolling)
     assert "rolling" not in used(drop)
-    thrown = replace(drop, particles=(ball("a", (0.0, 0.0, 3.0), velocity=(1.0, 0.0, 0.0)),))
+    thrown = with_bodies(drop, spheres=(ball("a", (0.0, 0.0, 3.0), velocity=(1.0, 0.0, 0.0)),))
     assert {"rolling", "rotation"} <= used(thrown)
     spinning = ball("a", (0.0, 0.0, 3.0), spin=(0.0, 1.0, 0.0))
-    smooth = replace(drop, particles=(spinning,), contact=ContactChoice(rolling_friction=0.1))
+    smooth = with_bodies(drop, spheres=(spinning,), contact=ContactChoice(rolling_friction=0.1))
     assert used(smooth) & {"tangential", "rotation", "rolling"} == {"rotation", "rolling"}
 
 
 def test_overruling() -> None:
     start = head_on(contact=ROUGH)
-    wanted = decide(replace(start, overrules={"tangential": True}))
+    wanted = decide(replace(start, needs={"tangential": True}))
     assert wanted.uses("tangential")
     assert wanted.uses("rotation")
     marked = {row["physics"]: row["decided_by"] for row in wanted.rows()}
     assert [name for name, who in marked.items() if who == "user"] == ["tangential"]
-    same = decide(replace(start, overrules={"tangential": False}))
+    same = decide(replace(start, needs={"tangential": False}))
     assert same == decide(start)  # agreeing with kncal overrules nothing
     for name in {*PHYSICS, "nonsense"} - {*OVERRULABLE}:
         with pytest.raises(InputError, match="physics to overrule"):
-            decide(replace(start, overrules={name: True}))
+            decide(replace(start, needs={name: True}))
     with pytest.raises(InputError, match="did you mean 'tangential'"):
         wanted.uses("tangentail")
 
 
 def test_table_has_every_line_with_a_reason() -> None:
-    needs = decide(head_on(gravity=DOWN, contact=ROUGH, walls=(FLOOR,)))
+    needs = decide(head_on(gravity=DOWN, contact=ROUGH, planes=(FLOOR,)))
     rows = needs.rows()
     assert [row["physics"] for row in rows] == ["dimensions", *PHYSICS]
     assert all(row["why"] for row in rows)

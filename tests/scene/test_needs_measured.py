@@ -7,11 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from models import with_bodies
+from shipped import SINGLE
 
 from kncal.runs.workflow import load
-from kncal.scene.bed_scene import BedScene
-from kncal.scene.case_file import dump_case, load_case, load_scene, shipped_cases
+from kncal.scene.case_file import dump_case, load_case
 from kncal.scene.needs import decide
+from kncal.scene.scene import Scene
 from kncal.study import Variant, run_variants
 from kncal.study.trim.effects import resolution_of
 from kncal.study.trim.run import TrimOptions, trim
@@ -20,7 +22,6 @@ from kncal.study.variants import changes_of
 
 pytestmark = pytest.mark.slow
 
-SINGLE = shipped_cases(beds=False)
 #: Friction in every contact, so that the rule has to look at the motion.
 ROUGH = "contact.friction=0.3"
 
@@ -35,7 +36,7 @@ def trimmed(case: str | Path, out: Path, *parts: str, engine: str = "builtin", o
 @pytest.mark.parametrize("case", SINGLE)
 def test_friction_that_the_rules_leave_out_has_no_effect_and_what_they_keep_has_one(case: str, tmp_path: Path) -> None:
     """With friction 0.3 in every contact: a head-on contact does not feel it, an oblique and a sliding one do."""
-    needed = decide(load_scene(case, overrides=[ROUGH])).uses("tangential")
+    needed = decide(load_case(case, overrides=[ROUGH])).uses("tangential")
     (result,) = trimmed(case, tmp_path, "tangential", overrides=(ROUGH,)).results
     assert (result.part.change == ON) == (not needed)
     assert result.verdict == ("keep" if needed else "not needed")
@@ -45,7 +46,7 @@ def test_friction_that_the_rules_leave_out_has_no_effect_and_what_they_keep_has_
         assert len(result.effects) > 2
 
 
-@pytest.mark.parametrize("case", [case for case in SINGLE if decide(load_scene(case)).uses("damping")])
+@pytest.mark.parametrize("case", [case for case in SINGLE if decide(load_case(case)).uses("damping")])
 def test_damping_that_the_rules_keep_has_an_effect(case: str, tmp_path: Path) -> None:
     (result,) = trimmed(case, tmp_path, "damping").results
     assert result.verdict == "keep"
@@ -54,7 +55,7 @@ def test_damping_that_the_rules_keep_has_an_effect(case: str, tmp_path: Path) ->
 @pytest.mark.parametrize("case", SINGLE)
 def test_the_motion_stays_in_as_many_dimensions_as_the_rules_say(case: str, tmp_path: Path) -> None:
     """Displacements span a space of that rank; the engine computes three dimensions and knows nothing of it."""
-    needs = decide(load_scene(case, overrides=[ROUGH]))
+    needs = decide(load_case(case, overrides=[ROUGH]))
     found = run_variants(
         case, [Variant(name="full", model="linear", changes=changes_of([ROUGH]))], tmp_path, engine="builtin"
     )
@@ -67,10 +68,10 @@ def test_the_motion_stays_in_as_many_dimensions_as_the_rules_say(case: str, tmp_
 
 
 def test_a_wall_that_the_rules_call_out_of_reach_can_be_taken_away(tmp_path: Path) -> None:
-    scene = load_scene("falling_particle")
-    walls = [replace(scene.walls[0], name=f"side_{x}", axis="x", position=float(x)) for x in (-1, 1)]
+    scene = load_case("falling_particle")
+    walls = [replace(scene.planes[0], name=f"side_{x}", axis="x", position=float(x)) for x in (-1, 1)]
     path = tmp_path / "shaft.toml"
-    path.write_text(dump_case(replace(scene, walls=(*scene.walls, *walls))), "utf-8")
+    path.write_text(dump_case(with_bodies(scene, planes=(*scene.planes, *walls))), "utf-8")
     found = trimmed(path, tmp_path / "out", "walls")
     (result,) = found.results
     assert result.verdict == "leave out"
@@ -109,9 +110,9 @@ def test_liggghts_feels_rolling_friction_where_the_rules_keep_it(tmp_path: Path)
 @pytest.mark.solver
 def test_a_bed_of_one_particle_that_touches_nothing_needs_no_friction(tmp_path: Path) -> None:
     """Twenty couplings of it, with friction that the rules leave out and forced on: the same to the last bit."""
-    overrides = (ROUGH, "contact.e_n=0.9", "run.end_time=0.004", "run.frames_every=0.001")
+    overrides = (ROUGH, "contact.e_n=0.9", "run.until_time=0.004", "run.frames_every=0.001")
     scene = load_case("terminal_velocity", overrides=overrides)
-    assert isinstance(scene, BedScene)
+    assert isinstance(scene, Scene)
     assert not decide(scene).uses("tangential")
     variants = [
         Variant(name=name, model="linear", changes=changes_of([*overrides, *more]))

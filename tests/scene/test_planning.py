@@ -4,10 +4,12 @@ import math
 from dataclasses import replace
 
 import pytest
+from models import with_bodies
+from shipped import SINGLE
 
 from kncal import CaseFileError, calibrate
 from kncal.scene.ballistics import first_touch, initial_overlap
-from kncal.scene.case_file import load_case, shipped_cases
+from kncal.scene.case_file import load_case
 from kncal.scene.needs import decide
 from kncal.scene.plan import first_impact_speed, pair_choice, pair_of, plan
 from kncal.scene.scene import PairChoice
@@ -38,12 +40,12 @@ def test_nothing_moves_nothing_touches():
 
 
 def test_a_ball_deep_in_the_wall_is_told_so():
-    deep = replace(FALL, particles=(replace(FALL.particles[0], position=(0.0, 0.0, 0.003)),))
+    deep = with_bodies(FALL, spheres=(replace(FALL.spheres[0], position=(0.0, 0.0, 0.003)),))
     with pytest.raises(CaseFileError, match=r"inside 'floor'.*position and diameter"):
         plan(deep)
 
 
-@pytest.mark.parametrize("case", shipped_cases(beds=False))
+@pytest.mark.parametrize("case", SINGLE)
 def test_plan_of_every_case(case):
     scene = load_case(case)
     models = plan(scene)
@@ -93,7 +95,7 @@ def test_first_exception_that_names_both_bodies_counts():
 
 def test_overruled_friction_is_gone_from_every_engine():
     assert decide(OBLIQUE).uses("tangential")
-    smooth = replace(OBLIQUE, overrules={"tangential": False})
+    smooth = replace(OBLIQUE, needs={"tangential": False})
     assert all(c.friction == 0.0 for m in plan(smooth).values() for c in m.contacts.values())
     assert all(c.friction == 0.092 for m in plan(OBLIQUE).values() for c in m.contacts.values())
 

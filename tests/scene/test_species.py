@@ -4,12 +4,14 @@ from dataclasses import replace
 from itertools import product
 
 import pytest
+from models import with_bodies
 
 from kncal import CaseFileError
 from kncal.physics.material import Material
+from kncal.scene.bodies import Particle, Wall
 from kncal.scene.case_file import load_case
 from kncal.scene.plan import plan
-from kncal.scene.scene import ContactChoice, PairChoice, Particle, RunControl, Scene, Wall
+from kncal.scene.scene import ContactChoice, PairChoice, RunControl, Scene
 from kncal.scene.species import listed, species_of
 
 GLASS = Material(young=5e7, poisson=0.25, density=2500.0, name="glass")
@@ -18,9 +20,9 @@ BRASS = Material(young=1e8, poisson=0.3, density=8000.0, name="brass")
 
 def many(number: int, sizes: int = 1, pairs: tuple[PairChoice, ...] = ()) -> Scene:
     """Spheres of glass of a few sizes that fall on a floor, far apart from each other."""
-    return Scene(
+    return Scene.of(
         name="many",
-        particles=tuple(
+        spheres=tuple(
             Particle(
                 name=f"p{i}",
                 material=GLASS,
@@ -29,7 +31,7 @@ def many(number: int, sizes: int = 1, pairs: tuple[PairChoice, ...] = ()) -> Sce
             )
             for i in range(number)
         ),
-        walls=(Wall(name="floor", axis="z", position=0.0, material=BRASS),),
+        planes=(Wall(name="floor", axis="z", position=0.0, material=BRASS),),
         gravity=(0.0, 0.0, -9.81),
         contact=ContactChoice(e_n=0.9, v_0=0.5, pairs=pairs),
         run=RunControl(until_time=0.01),
@@ -84,9 +86,9 @@ def test_what_bodies_of_a_scene_do_not_form_is_there_for_others():
 def test_an_error_names_bodies_that_it_is_about():
     scene = many(3)
     lost = replace(scene, gravity=(0.0, 0.0, 0.0), contact=ContactChoice(k_n=1e4, e_n=0.9))
-    touching = [replace(p, position=(2.1e-3 * i * i, 0.0, 0.02)) for i, p in enumerate(lost.particles)]
+    touching = [replace(p, position=(2.1e-3 * i * i, 0.0, 0.02)) for i, p in enumerate(lost.spheres)]
     with pytest.raises(CaseFileError, match="'p0' and 'p1'"):
-        plan(replace(lost, particles=tuple(touching), walls=()))
+        plan(with_bodies(lost, spheres=tuple(touching), planes=()))
 
 
 def test_long_lists_are_cut_with_a_count():

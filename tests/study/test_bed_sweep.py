@@ -11,7 +11,6 @@ import pytest
 
 from kncal.core.errors import CaseFileError
 from kncal.runs.workflow import load
-from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import dump_case, load_case
 from kncal.study import Settings, ThreadExecutor, combine, design, grid_axis, read_sweep, run_sweep, sweep_status
 
@@ -20,12 +19,11 @@ from kncal.study import Settings, ThreadExecutor, combine, design, grid_axis, re
 def bed(tmp_path: Path) -> Path:
     """A shallow bed on a lattice, for a hundredth of a second."""
     scene = load_case("bubbling_bed_mini")
-    assert isinstance(scene, BedScene)
-    particles = replace(scene.particles, count=300, packing="lattice")
-    run = replace(scene.run, end_time=0.01, discard=0.0)
+    run = replace(scene.run, until_time=0.01, discard=0.0)
+    small = scene.with_group(count=300, place="lattice")
     (tmp_path / "bed").mkdir()
     path = tmp_path / "bed" / "case.toml"
-    path.write_text(dump_case(replace(scene, particles=particles, run=run, tolerances={})), encoding="utf-8")
+    path.write_text(dump_case(replace(small, run=run, tolerances={})), encoding="utf-8")
     return path
 
 

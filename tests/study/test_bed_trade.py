@@ -16,9 +16,9 @@ from kncal.observe.difference import rows_between
 from kncal.observe.run_data import observed
 from kncal.record.steps import REACTION_LIMIT
 from kncal.runs.workflow import load
-from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import dump_case, load_case
 from kncal.scene.load import bottom_overlaps
+from kncal.scene.scene import Scene
 from kncal.study import Variant, VariantRun
 from kncal.study.trade import averaged
 from kncal.study.trade import run as loop
@@ -127,18 +127,16 @@ def test_the_interval_of_a_field_decides_as_its_row_does(rms, noise, monkeypatch
 # --- candidates and starts ----------------------------------------------------
 
 
-def mini(end_time: float, count: int = 300, **contact) -> BedScene:
+def mini(end_time: float, count: int = 300, **contact) -> Scene:
     scene = load_case("bubbling_bed_mini")
-    assert isinstance(scene, BedScene)
     return replace(
-        scene,
-        particles=replace(scene.particles, count=count, packing="lattice"),
-        run=replace(scene.run, end_time=end_time, discard=0.0, frames_every=0.001, steps_per_contact=10.0),
+        scene.with_group(count=count, place="lattice"),
+        run=replace(scene.run, until_time=end_time, discard=0.0, frames_every=0.001, steps_per_contact=10.0),
         contact=replace(scene.contact, **contact),
     )
 
 
-def written(scene: BedScene, folder: Path) -> Path:
+def written(scene: Scene, folder: Path) -> Path:
     path = folder / "bed" / "case.toml"
     path.parent.mkdir()
     path.write_text(dump_case(scene), encoding="utf-8")
@@ -180,11 +178,10 @@ def test_the_reference_takes_the_smallest_step_that_changes_its_contacts_little_
 
 
 def test_a_bed_that_gas_moves_starts_loose_and_one_at_rest_does_not(tmp_path):
-    moving = mini(0.1)
-    moving = replace(moving, particles=replace(moving.particles, packing="settled"))
+    moving = mini(0.1).with_group(place="settled")
     assert fluidised(moving)
     path, notes = shared_case(moving, tmp_path)
-    assert load_case(path).particles.packing == "lattice"
+    assert load_case(path).group.place == "lattice"
     assert any("loose lattice" in note for note in notes)
     still = replace(moving, gas=replace(moving.gas, U_0=0.1))  # U_mf of such particles is some tenths of a metre per s
     assert not fluidised(still)
@@ -196,12 +193,10 @@ def test_a_stiff_bed_at_rest_is_settled_by_a_softer_spring():
 
     def overlap(young: float) -> float:
         scene = mini(0.1)
-        material = replace(scene.particles.material, young=young)
-        column = replace(scene.column, wall_material=material)
-        scene = replace(scene, column=column, particles=replace(scene.particles, material=material))
-        scene = replace(scene, particles=replace(scene.particles, settle_k_n=settling_spring(scene)))
+        scene = replace(scene, materials={"soft": replace(scene.materials["soft"], young=young)})
+        scene = scene.with_group(settle_k_n=settling_spring(scene))
         model = plan(to_settle(scene), ("linear",))["linear"]
-        return bottom_overlaps(model)[0, 0] / scene.particles.diameter
+        return bottom_overlaps(model)[0, 0] / scene.group.diameter
 
     assert overlap(7e10) == pytest.approx(START_OVERLAP)
     assert overlap(5e5) > START_OVERLAP / STIFF
@@ -215,10 +210,9 @@ def test_all_candidates_settle_alike_however_many_particles_there_are(tmp_path, 
     from kncal.scene.plan import plan
 
     scene = load_case("packed_bed")
-    column = replace(scene.column, height=scene.column.height * max(count / scene.particles.count, 1.0))
-    scene = replace(
-        scene, column=column, particles=replace(scene.particles, count=count, packing="settled", frozen=False)
-    )
+    width, depth, height = scene.box.size
+    scene = scene.with_box(size=(width, depth, height * max(count / scene.group.number, 1.0)))
+    scene = scene.with_group(count=count, place="settled", frozen=False)
     case = written(replace(scene, gas=None), tmp_path)
     path, _ = shared_case(load_case(case), tmp_path / "trade")
     top, tried = contacts(case, TradeOptions(factors=(1.0, 0.1)))
@@ -226,7 +220,7 @@ def test_all_candidates_settle_alike_however_many_particles_there_are(tmp_path, 
     for contact in (top, *tried):
         for steps in (10.0, 50.0):
             bed_scene = load_case(path, overrides=contact.at(steps).variant.overrides)
-            assert bed_scene.particles.count == count
+            assert bed_scene.group.number == count
             keys.add(_key(plan(to_settle(bed_scene), ("linear",))["linear"], np.zeros((1, 3))))
     assert len(keys) == 1
 
@@ -339,7 +333,7 @@ def test_a_candidate_of_the_same_model_runs_beside_the_reference(tmp_path):
     assert [runs.ended[c.name].status for c in (reference, beside)] == ["timed_out", "timed_out"]
 
 
-def couplings_of(scene: BedScene) -> int:
+def couplings_of(scene: Scene) -> int:
     from kncal.scene.plan import plan
 
     return plan(scene, ("hertz",))["hertz"].couplings

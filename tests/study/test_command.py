@@ -95,13 +95,13 @@ def test_a_wrong_bed_that_nothing_warns_of_is_called_unsafe() -> None:
 def test_a_reduced_bed_has_the_same_particles_cells_and_gas(name: str) -> None:
     scene = load_case(name)
     small = reduced(scene)
-    for axis, size in enumerate(("width", "depth", "height")):
-        edges = [getattr(s.column, size) / s.column.cells[axis] for s in (scene, small)]
+    for axis in range(3):
+        edges = [s.box.size[axis] / s.gas.cells[axis] for s in (scene, small)]
         assert edges[1] == pytest.approx(edges[0], rel=1e-12)
-    assert small.particles.count <= 600
-    assert small.run.end_time <= 0.05
-    assert (small.particles.diameter, small.contact) == (scene.particles.diameter, scene.contact)
-    assert small.column.height > 2.0 * settled_height(small)
+    assert small.group.number <= 600
+    assert small.run.until_time <= 0.05
+    assert (small.group.diameter, small.contact) == (scene.group.diameter, scene.contact)
+    assert small.box.height > 2.0 * settled_height(small)
 
 
 def test_elastic_hertz_is_probed_without_damping() -> None:

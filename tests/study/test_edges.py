@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from models import with_bodies
 
 from kncal import advise_time_step, calibrate, pair, wall_pair
 from kncal.core.errors import InputError
@@ -31,7 +32,7 @@ def between_walls(kind: str, e_n: float) -> tuple[float, float]:
     """omega [1/s] and zeta of a sphere between two walls: springs and dashpots of two contacts side by side."""
     probe = pressed(SPHERE, kind, e_n, 2)
     c = probe.model.between("s0", "x-low")
-    (ball,) = probe.scene.particles
+    (ball,) = probe.scene.spheres
     m = float(sphere_mass(ball.material, ball.radius))
     assert c.delta_max is not None
     k = c.n * c.k * c.delta_max ** (c.n - 1.0)
@@ -82,8 +83,8 @@ def test_twelve_neighbours_without_damping_by_hand() -> None:
 def test_pressed_probes_are_in_equilibrium(contacts: int) -> None:
     """Without the nudge nothing moves: forces balance to the rounding of positions over overlaps."""
     probe = pressed(SPHERE, "linear", 0.6, contacts)
-    still = tuple(replace(p, velocity=(0.0, 0.0, 0.0)) for p in probe.scene.particles)
-    model = replace(probe.model, scene=replace(probe.scene, particles=still))
+    still = tuple(replace(p, velocity=(0.0, 0.0, 0.0)) for p in probe.scene.spheres)
+    model = replace(probe.model, scene=with_bodies(probe.scene, spheres=still))
     run = integrate(at_step(model, 0.1 * arrangement_limit(model), 30))
     there = touching(model)
     omega = max(math.sqrt(t.stiffness / t.m_eff) for t in there)

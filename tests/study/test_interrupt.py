@@ -16,8 +16,7 @@ from kncal.runs.folder import read_result
 from kncal.study import read_sweep, sweep_status
 
 LID = """
-[[walls]]
-name = "lid"
+[walls.lid]
 axis = "z"
 position = 0.0021
 material = "rigid"

@@ -86,7 +86,7 @@ def test_one_undecided_metric_leaves_the_part_undecided_unless_another_changes()
     open_ = effect("z_95", "undecided", needed_end=3.0)
     found = judge_part(part(), (effect("e_n", "ok"), open_), COST)
     assert found.verdict == "undecided"
-    assert "3 s" in found.sentence and "run.end_time" in found.sentence
+    assert "3 s" in found.sentence and "run.until_time" in found.sentence
     assert judge_part(part(), (open_, effect("t_c", "outside")), COST).verdict == "keep"
 
 

@@ -13,7 +13,7 @@ from kncal.engines.tunnelling import passages
 from kncal.record.frames import Trajectory
 from kncal.record.outcome import FAILURES
 from kncal.scene.case_file import load_case
-from kncal.scene.model import Model
+from kncal.scene.model import Plan
 from kncal.study.stability import outcome as outcomes
 from kncal.study.stability.accuracy import impacts
 from kncal.study.stability.edges import run_builtin
@@ -49,11 +49,11 @@ def test_a_particle_that_jumps_through_the_wall() -> None:
     assert found.code == outcomes.TUNNELLING
 
 
-def frames(model: Model, x: np.ndarray) -> Trajectory:
+def frames(model: Plan, x: np.ndarray) -> Trajectory:
     """Frames with these positions (frames, particles, 3)."""
-    names = tuple(p.name for p in model.scene.particles)
+    names = tuple(p.name for p in model.scene.spheres)
     steps = np.arange(len(x))
-    radius = np.array([p.radius for p in model.scene.particles])
+    radius = np.array([p.radius for p in model.scene.spheres])
     zero = np.zeros_like(x)
     return Trajectory(names, steps, steps * model.dt, x, zero, zero, zero, radius)
 

@@ -6,9 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from models import with_bodies
 
 from kncal.core.errors import InputError
-from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import dump_case, load_case, shipped_cases
 from kncal.scene.plan import plan
 from kncal.scene.scene import Scene
@@ -17,13 +17,13 @@ from kncal.study.trim.trim import OFF, ON, OTHER, Part
 from kncal.study.variants import texts
 
 
-def changed(scene: Scene | BedScene, part: Part, folder: Path) -> Scene | BedScene:
+def changed(scene: Scene, part: Part, folder: Path) -> Scene:
     path = folder / f"{scene.name}.toml"
     path.write_text(dump_case(scene), "utf-8")
     return replace(load_case(path, overrides=texts(part.changes)), title=scene.title)
 
 
-def everything(name: str) -> Scene | BedScene:
+def everything(name: str) -> Scene:
     """A shipped case with every coefficient above zero, so that every part has something to switch."""
     return load_case(name, overrides=["contact.friction=0.2", "contact.rolling_friction=0.1"])
 
@@ -39,7 +39,7 @@ def test_every_part_that_applies_gives_another_scene_that_can_be_planned(name: s
         other = changed(scene, part, tmp_path)
         assert (other != scene) == bool(part.changes)
         assert part.changes or part.model == "hertz"
-        if isinstance(other, BedScene):
+        if other.coupled:
             assert plan(other, ("linear",))["linear"].couplings > 0
         else:
             assert plan(other, ("linear",))["linear"].n_steps > 0
@@ -63,14 +63,12 @@ def test_what_is_left_out_can_be_put_back(name: str, tmp_path: Path) -> None:
 
 def test_one_layer_has_as_many_particles_per_floor_area(tmp_path: Path) -> None:
     scene = load_case("bubbling_bed_mini")
-    assert isinstance(scene, BedScene)
     (part,) = parts_of(scene, "linear", ["depth"])
     layer = changed(scene, part, tmp_path)
-    assert isinstance(layer, BedScene)
-    assert (layer.column.front_back, layer.column.cells[1]) == ("layer", 1)
-    per_area = [s.particles.count / (s.column.width * s.column.depth) for s in (scene, layer)]
+    assert (layer.front_back, layer.gas.cells[1]) == ("layer", 1)
+    per_area = [s.group.number / (s.box.width * s.box.depth) for s in (scene, layer)]
     # to the nearest whole particle
-    assert per_area[1] == pytest.approx(per_area[0], rel=0.5 / layer.particles.count)
+    assert per_area[1] == pytest.approx(per_area[0], rel=0.5 / layer.group.number)
     assert parts_of(layer, "linear", ["depth"])[0].why_not
 
 
@@ -83,9 +81,8 @@ def test_damping_goes_in_every_pair(tmp_path: Path) -> None:
 
 def test_a_wall_out_of_reach_may_go_and_one_in_reach_may_not(tmp_path: Path) -> None:
     scene = load_case("wall_impact")
-    assert isinstance(scene, Scene)
-    side = replace(scene.walls[0], name="side", axis="x", position=1.0)
-    (part,) = parts_of(replace(scene, walls=(*scene.walls, side)), "linear", ["walls"])
+    side = replace(scene.planes[0], name="side", axis="x", position=1.0)
+    (part,) = parts_of(with_bodies(scene, planes=(*scene.planes, side)), "linear", ["walls"])
     assert part.changes == {"walls.side": None}
     assert "can be touched" in parts_of(scene, "linear", ["walls"])[0].why_not
 

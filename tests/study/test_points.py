@@ -71,9 +71,9 @@ def test_a_key_varied_twice_and_too_many_points_are_refused() -> None:
 
 def test_rows_of_a_file(tmp_path: Path) -> None:
     path = tmp_path / "points.csv"
-    path.write_bytes(b'\xef\xbb\xbfcontact.k_n, column.cells,contact.law\r\n500,"[10,2,30]",hertz\r\n\r\n1000,,\r\n')
+    path.write_bytes(b'\xef\xbb\xbfcontact.k_n, gas.cells,contact.law\r\n500,"[10,2,30]",hertz\r\n\r\n1000,,\r\n')
     assert shown(read_points(path)) == [
-        'contact.k_n = 500, column.cells = [10, 2, 30], contact.law = "hertz"',
+        'contact.k_n = 500, gas.cells = [10, 2, 30], contact.law = "hertz"',
         "contact.k_n = 1000",
     ]
 

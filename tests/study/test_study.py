@@ -14,15 +14,13 @@ young = 1e7
 poisson = 0.25
 density = 2500.0
 
-[[particles]]
-name = "bead"
+[particles.bead]
 material = "glass"
 diameter = 0.002
 position = [0.0, 0.0, 0.001001]
 velocity = [0.0, 0.0, -1.0]
 
-[[walls]]
-name = "floor"
+[walls.floor]
 axis = "z"
 position = 0.0
 material = "rigid"
@@ -63,7 +61,7 @@ def test_every_variant_has_its_own_result_in_the_order_given(case, tmp_path):
     assert found["softer"].dt == pytest.approx(2.0 * found["soft"].dt, rel=1e-12)
     data = {name: load(run.folder) for name, run in found.items()}
     assert data["soft"].model.between("bead", "floor").k == 1000.0
-    assert data["hertz"].model.scene.particles[0].material.young == 2e7
+    assert data["hertz"].model.scene.spheres[0].material.young == 2e7
 
 
 def test_a_variant_that_cannot_run_says_why_and_the_others_run(case, tmp_path):

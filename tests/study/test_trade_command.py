@@ -96,7 +96,7 @@ def test_nothing_of_the_users_is_written_over_or_removed(capsys, tmp_path):
         (["--budget", "ten"], "--budget"),
         (["--factor", "3"], "--factor"),
         (["--factor", "1/0"], "--factor"),
-        (["--reference", "materials.nothing.young=1e9"], "no material"),
+        (["--reference", "materials.nothing.young=1e9"], "no 'nothing' in materials"),
         (["--transport", "live"], "no meaning"),
     ],
 )

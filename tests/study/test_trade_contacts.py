@@ -10,7 +10,7 @@ from kncal.engines.registry import get_engine
 from kncal.observe.compare import PREDICTION_MARGIN
 from kncal.physics.impact import dimensionless_impact
 from kncal.runs.workflow import load, run_case
-from kncal.scene.case_file import load_scene
+from kncal.scene.case_file import load_case
 from kncal.scene.plan import plan
 from kncal.study.trade.candidates import contacts, softened, softer_materials
 from kncal.study.trade.errors import Reference, converge
@@ -29,22 +29,19 @@ young = 1e7
 poisson = 0.25
 density = 2500.0
 
-[[particles]]
-name = "small"
+[particles.small]
 material = "soft"
 diameter = 0.001
 position = [0.0, 0.0, 0.0051]
 velocity = [0.0, 0.0, -1.0]
 
-[[particles]]
-name = "large"
+[particles.large]
 material = "soft"
 diameter = 0.004
 position = [0.0, 0.0, 0.0021]
 velocity = [0.0, 0.0, -0.5]
 
-[[walls]]
-name = "floor"
+[walls.floor]
 axis = "z"
 position = 0.0
 material = "soft"
@@ -82,7 +79,7 @@ def found(tmp_path_factory):
 def exact(e_n=0.6):
     """Overlap and duration of the linear and the Hertz contact in units of their own stiffness, closed forms."""
     linear, hertz = dimensionless_impact("linear", e_n), dimensionless_impact("tsuji", e_n)
-    models = plan(load_scene("wall_impact"))
+    models = plan(load_case("wall_impact"))
     (c,), (h,) = (tuple(models[kind].contacts.values()) for kind in ("linear", "hertz"))
     v_0 = c.v_0
 
@@ -139,7 +136,7 @@ def test_n_means_the_same_for_every_contact_and_all_runs_end_together(found):
     ends = []
     for p in found.trade.points:
         kind = p.candidate.model
-        model = plan(load_scene("wall_impact", overrides=p.candidate.variant.overrides), (kind,))[kind]
+        model = plan(load_case("wall_impact", overrides=p.candidate.variant.overrides), (kind,))[kind]
         (contact,) = model.contacts.values()
         assert p.dt * p.candidate.steps_per_contact == pytest.approx(contact.t_c, rel=1e-12)
         ends.append(model.t_end)
@@ -170,7 +167,7 @@ def test_the_chosen_case_runs_and_repeats_the_error(found, tmp_path):
     chosen = found.conclusion.chosen
     # the tolerances admit all that keeps e_n: the cheapest is a softened one
     assert chosen is not None and chosen.candidate.factor == FACTOR
-    scene = load_scene(found.case)
+    scene = load_case(found.case)
     assert "steps per contact" in scene.title and "10" in scene.title
     assert scene.run.until_bounces == 1
     kind = chosen.candidate.model
@@ -198,7 +195,7 @@ def test_the_files_of_a_trade(found):
 
 def test_the_same_trade_again_runs_nothing(found):
     before = {path: path.stat().st_mtime_ns for path in found.folder.glob("screening/**/result.json")}
-    again = trade_scene("wall_impact", load_scene("wall_impact"), found.folder, found.trade.options, lambda _: None)
+    again = trade_scene("wall_impact", load_case("wall_impact"), found.folder, found.trade.options, lambda _: None)
     assert {path: path.stat().st_mtime_ns for path in found.folder.glob("screening/**/result.json")} == before
     assert again.points == found.trade.points
 
@@ -212,11 +209,11 @@ def case(tmp_path, text):
 
 def test_softening_scales_every_pair_and_nothing_else(tmp_path):
     where = case(tmp_path, THREE_PAIRS)
-    scene = load_scene(where)
+    scene = load_case(where)
     before = plan(scene, ("linear",))["linear"]
     assert len({c.k for c in before.contacts.values()}) == 3
     changes = softened(where, scene, before, FACTOR, {"contact.pairs.0.k_n": None})
-    after = plan(load_scene(where, overrides=texts(changes)), ("linear",))["linear"]
+    after = plan(load_case(where, overrides=texts(changes)), ("linear",))["linear"]
     for names, contact in before.contacts.items():
         soft = after.contacts[names]
         assert soft.k == pytest.approx(FACTOR * contact.k, rel=1e-12)
@@ -229,9 +226,9 @@ def test_every_contact_is_a_valid_variant_of_the_case(tmp_path):
     reference, tried = contacts(where, TradeOptions(reference=("materials.soft.young=2e7",), factors=(1.0, 0.1)))
     assert reference.model == "hertz"
     assert len({contact.name for contact in tried}) == len(tried)
-    real = plan(load_scene(where, overrides=texts(reference.changes)), ("hertz",))["hertz"]
+    real = plan(load_case(where, overrides=texts(reference.changes)), ("hertz",))["hertz"]
     for contact in tried:
-        model = plan(load_scene(where, overrides=contact.at(20.0).variant.overrides), (contact.model,))[contact.model]
+        model = plan(load_case(where, overrides=contact.at(20.0).variant.overrides), (contact.model,))[contact.model]
         if contact.how == "reduced_modulus":
             for names, c in model.contacts.items():
                 # k_h is proportional to the modulus where all materials have the same factor
@@ -277,7 +274,7 @@ def test_values_from_outside_hold_for_all_and_for_the_chosen_case(tmp_path):
     assert result.trade.convergence.values["e_n"][-1] == pytest.approx(
         0.5, rel=result.trade.convergence.left["e_n"] + 1e-9
     )
-    assert load_scene(result.case).contact.e_n == 0.5
+    assert load_case(result.case).contact.e_n == 0.5
 
 
 def test_what_is_left_of_the_reference_is_its_distance_to_the_exact_solution(found):

@@ -183,7 +183,7 @@ def test_of_a_bed_undecided_is_not_called_outside_and_what_decides_is_said():
     assert (data["promising"], data["needed_end_time"]) == ("open", 1.5)
 
 
-@pytest.mark.parametrize(("needed", "said"), [(4.0, ("run.end_time to 4", "2.8e+02 CPU s")), (None, ("not known",))])
+@pytest.mark.parametrize(("needed", "said"), [(4.0, ("run.until_time to 4", "2.8e+02 CPU s")), (None, ("not known",))])
 def test_a_bed_too_short_to_decide_names_the_end_time(needed, said):
     made = trade(
         [ran("open", (40.0,), {"z": (0.01, 0.4)}, needed=needed)], {"z": 0.05}, cost="cpu_seconds", reference=TOP

@@ -11,8 +11,7 @@ import pytest
 
 from kncal.cli import main
 from kncal.core.errors import CaseFileError, InputError
-from kncal.scene.bed_scene import BedScene
-from kncal.scene.case_file import dump_case, load_case, load_scene
+from kncal.scene.case_file import dump_case, load_case
 from kncal.study.trim.report import write_trim
 from kncal.study.trim.run import TrimOptions, trim
 from kncal.study.trim.trim import Trim
@@ -46,8 +45,8 @@ def test_friction_of_a_sliding_ball_is_kept_and_its_loss_is_that_of_the_closed_f
     (result,) = found.results
     assert result.verdict == "keep"
     effects = {e.metric: e for e in result.effects}
-    scene = load_scene("oblique_impact")
-    v_x, _, v_z = scene.particles[0].velocity
+    scene = load_case("oblique_impact")
+    v_x, _, v_z = scene.spheres[0].velocity
     kept = 1.0 - scene.contact.friction * 2.0 * abs(v_z) / v_x  # e_n = 1
     change = effects["tangential_restitution"]
     assert change.difference.value == pytest.approx(1.0 / kept - 1.0, abs=change.difference.deciding + 1e-4)
@@ -61,7 +60,7 @@ def test_damping_off_gives_back_the_speed_that_it_took(tmp_path: Path) -> None:
     found = builtin("wall_impact", tmp_path, parts=("damping",))
     (result,) = found.results
     e_n = next(e for e in result.effects if e.metric == "e_n")
-    given = load_scene("wall_impact").contact.e_n
+    given = load_case("wall_impact").contact.e_n
     assert e_n.difference.width is not None
     assert e_n.difference.value == pytest.approx((1.0 - given) / given, abs=e_n.difference.width)
     assert result.verdict == "keep"
@@ -91,12 +90,12 @@ def test_effects_that_add_up_are_found_and_the_most_suspicious_part_goes_back(tm
 def test_the_trimmed_case_is_a_case_that_leaves_out_what_the_report_says(tmp_path: Path) -> None:
     found = builtin("oblique_impact", tmp_path, *OBLIQUE, parts=("tangential",), tolerances={"e_n": 0.01})
     page = write_trim(found, tmp_path)
-    scene = load_scene(tmp_path / "case.toml", name="oblique_impact")
+    scene = load_case(tmp_path / "case.toml", name="oblique_impact")
     assert scene == found.trimmed
-    assert scene.overrules == {"tangential": False}
+    assert scene.needs == {"tangential": False}
     assert "trimmed: without tangential spring" in scene.title
-    full = load_scene("oblique_impact", overrides=OBLIQUE)
-    assert replace(scene, overrules={}, title="") == replace(full, title="")
+    full = load_case("oblique_impact", overrides=OBLIQUE)
+    assert replace(scene, needs={}, title="") == replace(full, title="")
     text = page.read_text("utf-8")
     assert "leave out" in text
     assert (page.parent / "effect.svg").is_file()
@@ -126,7 +125,7 @@ def test_sparser_recording_makes_the_same_steps_and_smaller_files(tmp_path: Path
 
 def test_without_tolerances_the_step_error_is_the_measure(tmp_path: Path) -> None:
     """What is below the discretisation error is no effect; friction of a sliding ball is far above."""
-    overrides = (*(f"tolerances.{name}=none" for name in load_scene("oblique_impact").tolerances),)
+    overrides = (*(f"tolerances.{name}=none" for name in load_case("oblique_impact").tolerances),)
     found = builtin("oblique_impact", tmp_path, *overrides, parts=("tangential", "contact_model"))
     assert found.tolerances == {}
     assert verdicts(found)["tangential"] == "keep"
@@ -200,11 +199,9 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeyp
 def test_a_bed_without_gas_loses_its_pressure_drop(tmp_path: Path) -> None:
     """A shallow bed for two hundredths of a second: gas is kept, sparser frames change no number to the last bit."""
     scene = load_case("bubbling_bed_mini")
-    assert isinstance(scene, BedScene)
     small = replace(
-        scene,
-        particles=replace(scene.particles, count=300, packing="lattice"),
-        run=replace(scene.run, end_time=0.02, discard=0.0, frames_every=0.001),
+        scene.with_group(count=300, place="lattice"),
+        run=replace(scene.run, until_time=0.02, discard=0.0, frames_every=0.001),
         tolerances={"pressure_drop": 0.05, "kinetic_energy": 0.05},
     )
     path = tmp_path / "small.toml"

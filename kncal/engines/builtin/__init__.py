@@ -16,7 +16,7 @@ from kncal.engines.base import FRAMES, Engine, Profile, Progress, guarded
 from kncal.engines.builtin.integrator import check, integrate
 from kncal.record.liggghts_dump import write_trajectory
 from kncal.record.outcome import RunResult
-from kncal.scene.model import Model
+from kncal.scene.model import Plan
 
 SCRIPT = "Allrun"
 
@@ -41,11 +41,11 @@ class Builtin(Engine):
         """Always there: the program is the Python that runs kncal."""
         return Profile(engine=self.name, program=Path(sys.executable), version=__version__)
 
-    def command(self, plan: Model, *, by_hand: bool = False) -> tuple[str, ...]:
+    def command(self, plan: Plan, *, by_hand: bool = False) -> tuple[str, ...]:
         """Return the command that repeats by hand, in the run's folder, what `run` does in this process."""
         return ("kncal", "run", "../case.toml", "--engine", self.name, "--model", plan.kind, "--out", "by-hand")
 
-    def render(self, plan: Model, folder: Path, *, start: Array | None = None, by_hand: bool = False) -> None:
+    def render(self, plan: Plan, folder: Path, *, start: Array | None = None, by_hand: bool = False) -> None:
         """Write ``Allrun`` into ``folder``; there is no other input than the case file.
 
         Raises
@@ -67,7 +67,7 @@ class Builtin(Engine):
 
     def run(
         self,
-        plan: Model,
+        plan: Plan,
         folder: Path,
         *,
         start: Array | None = None,

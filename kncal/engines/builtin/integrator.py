@@ -24,9 +24,9 @@ from kncal.engines.tunnelling import PASSED_THROUGH
 from kncal.physics.material import sphere_mass
 from kncal.physics.normal_force import Force, normal_force
 from kncal.record.frames import Trajectory
+from kncal.scene.bodies import AXES, Wall
 from kncal.scene.flight import pair_touch_time, wall_touch_time
-from kncal.scene.model import Model, PairContact
-from kncal.scene.scene import AXES, Wall
+from kncal.scene.model import PairContact, Plan
 
 #: Steps between two reports of progress (and two looks at whether the numbers are still finite).
 REPORT_EVERY = 2000
@@ -50,8 +50,8 @@ class _Motion:
     The contacts hold on to the lists, so they are changed in place only.
     """
 
-    def __init__(self, model: Model) -> None:
-        particles, dt, gravity = model.scene.particles, model.dt, model.scene.gravity
+    def __init__(self, model: Plan) -> None:
+        particles, dt, gravity = model.scene.spheres, model.dt, model.scene.gravity
         masses = [float(sphere_mass(p.material, p.radius)) for p in particles]
         self.dt = dt
         self.x = [float(c) for p in particles for c in p.position]
@@ -106,7 +106,7 @@ class _Motion:
         return stride
 
 
-def integrate(model: Model, progress: Callable[[int, int], None] | None = None) -> Trajectory:
+def integrate(model: Plan, progress: Callable[[int, int], None] | None = None) -> Trajectory:
     """Run ``model`` for its ``n_steps`` and return the recorded frames.
 
     A frame is followed by the next one ``record_every`` steps later in contact, else up to ``flight_every`` steps
@@ -114,7 +114,7 @@ def integrate(model: Model, progress: Callable[[int, int], None] | None = None) 
 
     Parameters
     ----------
-    model : Model
+    model : Plan
     progress : called every `REPORT_EVERY` steps or so with (steps done, steps in all); what it raises ends
         the run
 
@@ -165,7 +165,7 @@ def integrate(model: Model, progress: Callable[[int, int], None] | None = None) 
     return _trajectory(model, steps, frames)
 
 
-def check(model: Model) -> None:
+def check(model: Plan) -> None:
     """Refuse what this integrator would not simulate, or not simulate right.
 
     Raises
@@ -192,8 +192,8 @@ def check(model: Model) -> None:
         raise RenderError(f"dt = {model.dt:g}: expected a positive time step [s]")
 
 
-def _trajectory(model: Model, counted: array[int], frames: tuple[array[float], ...]) -> Trajectory:
-    particles = model.scene.particles
+def _trajectory(model: Plan, counted: array[int], frames: tuple[array[float], ...]) -> Trajectory:
+    particles = model.scene.spheres
     steps = np.array(counted, dtype=np.int64)
     shape = (len(steps), len(particles), 3)
     x, v, spin, force = (np.array(frame, dtype=np.float64).reshape(shape) for frame in frames)
@@ -209,8 +209,8 @@ def _trajectory(model: Model, counted: array[int], frames: tuple[array[float], .
     )
 
 
-def _contacts(model: Model, motion: _Motion) -> list[_Apply]:
-    index = {p.name: i for i, p in enumerate(model.scene.particles)}
+def _contacts(model: Plan, motion: _Motion) -> list[_Apply]:
+    index = {p.name: i for i, p in enumerate(model.scene.spheres)}
     applies = []
     for a, b in model.scene.body_pairs():
         contact = model.between(a.name, b.name)
@@ -227,9 +227,9 @@ def _spring(contact: PairContact) -> Callable[[float], float]:
     return (lambda delta: k_t) if contact.n == 1.0 else (lambda delta: k_t * sqrt(delta))
 
 
-def _wall_contact(model: Model, contact: PairContact, motion: _Motion, i: int, wall: Wall) -> _Apply:
+def _wall_contact(model: Plan, contact: PairContact, motion: _Motion, i: int, wall: Wall) -> _Apply:
     x, v, spin, force, torque = motion.x, motion.v, motion.spin, motion.force, motion.torque
-    radius, plane, dt = float(model.scene.particles[i].radius), float(wall.position), model.dt
+    radius, plane, dt = float(model.scene.spheres[i].radius), float(wall.position), model.dt
     axis = AXES.index(wall.axis)
     n, b, c = 3 * i + axis, 3 * i + (axis + 1) % 3, 3 * i + (axis + 2) % 3
     side = 1.0 if x[n] > plane else -1.0
@@ -238,7 +238,7 @@ def _wall_contact(model: Model, contact: PairContact, motion: _Motion, i: int, w
         contact.friction,
         _spring(contact),
     )
-    who = f"{model.scene.particles[i].name}–{wall.name}"
+    who = f"{model.scene.spheres[i].name}–{wall.name}"
     s_b = s_c = 0.0
 
     def apply(moving: bool) -> float:
@@ -274,9 +274,9 @@ def _wall_contact(model: Model, contact: PairContact, motion: _Motion, i: int, w
     return apply
 
 
-def _pair_contact(model: Model, contact: PairContact, motion: _Motion, i: int, j: int) -> _Apply:
+def _pair_contact(model: Plan, contact: PairContact, motion: _Motion, i: int, j: int) -> _Apply:
     x, v, force, torque = motion.x, motion.v, motion.force, motion.torque
-    first, second = model.scene.particles[i], model.scene.particles[j]
+    first, second = model.scene.spheres[i], model.scene.spheres[j]
     r_i, r_j = float(first.radius), float(second.radius)
     r_sum, nearest = r_i + r_j, max(r_i, r_j)
     i0, i1, i2, j0, j1, j2 = 3 * i, 3 * i + 1, 3 * i + 2, 3 * j, 3 * j + 1, 3 * j + 2
@@ -364,10 +364,10 @@ def _through(who: str) -> str:
     )
 
 
-def _stride_limits(model: Model, motion: _Motion) -> list[Callable[[], int]]:
+def _stride_limits(model: Plan, motion: _Motion) -> list[Callable[[], int]]:
     """For every pair a function: how many whole steps surely pass before it touches, in free flight."""
     x, v, scene = motion.x, motion.v, model.scene
-    index = {p.name: i for i, p in enumerate(scene.particles)}
+    index = {p.name: i for i, p in enumerate(scene.spheres)}
 
     def whole(time: float) -> int:
         return model.n_steps if time == math.inf else math.floor(time / model.dt) - _STRIDE_MARGIN

@@ -19,7 +19,7 @@ from kncal.engines.dpmfoam.decomposed import divisions
 from kncal.engines.dpmfoam.grid import Grid
 from kncal.physics.drag import DRAGS
 from kncal.record.openfoam import read_cells, refuse_code, set_patch_vector
-from kncal.scene.bed_scene import DEPTHS, PARCELS
+from kncal.scene.scene import DEPTHS, PARCELS
 
 INLET, OUTLET = "inlet", "outlet"
 #: The gas state between two steps: files of ``0/`` (binary). Nothing else is carried on.

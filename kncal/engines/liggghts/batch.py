@@ -21,7 +21,7 @@ from kncal.engines.liggghts.installed import VERSION, look
 from kncal.engines.tunnelling import PASSED_THROUGH, passages
 from kncal.record.liggghts_log import step_of_line
 from kncal.record.outcome import RunResult
-from kncal.scene.model import Model
+from kncal.scene.model import Plan
 
 PROGRAM = "liggghts"
 LOG = "log.liggghts"
@@ -74,11 +74,11 @@ class Liggghts(Engine):
             environment=mpi_environment(solver_environment(), self.ranks),
         )
 
-    def command(self, plan: Model, *, by_hand: bool = False) -> tuple[str, ...]:
+    def command(self, plan: Plan, *, by_hand: bool = False) -> tuple[str, ...]:
         """Return the command that `run` starts in the run's folder; it is the same for every plan."""
         return mpi_command(_COMMAND, self.ranks, oversubscribe=self._oversubscribe)
 
-    def render(self, plan: Model, folder: Path, *, start: Array | None = None, by_hand: bool = False) -> None:
+    def render(self, plan: Plan, folder: Path, *, start: Array | None = None, by_hand: bool = False) -> None:
         """Write ``in.liggghts`` and ``Allrun`` into ``folder``.
 
         Raises
@@ -91,7 +91,7 @@ class Liggghts(Engine):
 
     def run(
         self,
-        plan: Model,
+        plan: Plan,
         folder: Path,
         *,
         start: Array | None = None,
@@ -124,7 +124,7 @@ class Liggghts(Engine):
                 on_line=on_line,
                 pass_fds=pass_fds,
             )
-            problem = diagnose_liggghts(process, log, folder / FRAMES, plan.n_steps, len(plan.scene.particles))
+            problem = diagnose_liggghts(process, log, folder / FRAMES, plan.n_steps, len(plan.scene.spheres))
             if problem is None and (through := passages(plan, self.read(plan, folder))):
                 problem = Diagnosis(code=PASSED_THROUGH, message=through[0])
             status = process.status

@@ -21,9 +21,9 @@ from kncal.engines.liggghts.deck_checks import check_bed, check_model, check_run
 from kncal.engines.liggghts.deck_tables import STYLES, AtomType, Contacts, atom_types, contact_context
 from kncal.engines.liggghts.schedule import schedule
 from kncal.record.liggghts_log import END_MARKER
-from kncal.scene.bed_scene import BedScene
-from kncal.scene.model import BedModel, Model
-from kncal.scene.scene import Vector
+from kncal.scene.bodies import Vector
+from kncal.scene.model import Plan
+from kncal.scene.scene import Scene
 
 DECK, SCRIPT, DATA, RESTART = "in.liggghts", "Allrun", "particles.data", "particles.restart"
 #: Neighbour skin in diameters: fewer rebuilds than 0.1, fewer pairs than 0.5.
@@ -111,7 +111,7 @@ class Deck:
     schedule: Mapping[str, object] | None = None
 
 
-def scene_deck(model: Model, linear_style: str) -> Deck:
+def scene_deck(model: Plan, linear_style: str) -> Deck:
     """Describe the deck of a model of a scene of a few bodies.
 
     Raises
@@ -122,7 +122,7 @@ def scene_deck(model: Model, linear_style: str) -> Deck:
     scene, species = model.scene, model.species
     check_model(model)
     check_start(scene)
-    needs, particles = model.needs, scene.particles
+    needs, particles = model.needs, scene.spheres
     margin = 2.0 * max(p.radius for p in particles)
     sides = [[p.position[axis] for p in particles] for axis in range(3)]
     x_side, y_side, z_side = ((min(side) - margin, max(side) + margin) for side in sides)
@@ -135,7 +135,7 @@ def scene_deck(model: Model, linear_style: str) -> Deck:
         contacts=model.contacts,
         unmet=model.unmet,
         tangential=needs.uses("tangential"),
-        walls=[DeckWall(name=w.name, kind=index[w.name], axis=w.axis, position=w.position) for w in scene.walls],
+        walls=[DeckWall(name=w.name, kind=index[w.name], axis=w.axis, position=w.position) for w in scene.planes],
         box=(x_side, y_side, z_side),
         grows=True,
         gravity=scene.gravity if needs.uses("gravity") else (0.0, 0.0, 0.0),
@@ -155,7 +155,7 @@ def scene_deck(model: Model, linear_style: str) -> Deck:
     )
 
 
-def bed_deck(model: BedModel, positions: Array | None = None, velocities: Array | None = None) -> Deck:
+def bed_deck(model: Plan, positions: Array | None = None, velocities: Array | None = None) -> Deck:
     """Describe the deck of a model of a bed, with particles at ``positions``, ``velocities`` (n, 3), or a restart.
 
     Raises
@@ -163,15 +163,14 @@ def bed_deck(model: BedModel, positions: Array | None = None, velocities: Array 
     RenderError
         If LIGGGHTS would accept a number but not simulate it.
     """
-    scene, column, particles = model.scene, model.scene.column, model.scene.particles
+    scene, box, particles = model.scene, model.scene.box, model.scene.group
     check_bed(model)
     d = particles.diameter
-    places = [("floor", "z", 0.0), ("lid", "z", column.height), ("left", "x", 0.0), ("right", "x", column.width)]
-    places += [("front", "y", 0.0), ("back", "y", column.depth)] if column.front_back == "walls" else []
-    periodic = "y" if column.front_back == "periodic" else ""
+    places = [("floor", "z", 0.0), ("lid", "z", box.height), ("left", "x", 0.0), ("right", "x", box.width)]
+    places += [("front", "y", 0.0), ("back", "y", box.depth)] if scene.front_back == "walls" else []
+    periodic = "y" if scene.front_back == "periodic" else ""
     x_side, y_side, z_side = (
-        (0.0, size) if axis in periodic else (-d, size + d)
-        for axis, size in zip("xyz", (column.width, column.depth, column.height), strict=True)
+        (0.0, size) if axis in periodic else (-d, size + d) for axis, size in zip("xyz", box.size, strict=True)
     )
     start = None
     if positions is not None:
@@ -187,20 +186,19 @@ def bed_deck(model: BedModel, positions: Array | None = None, velocities: Array 
         walls=[DeckWall(name=name, kind=1, axis=axis, position=at) for name, axis, at in places],
         box=(x_side, y_side, z_side),
         periodic=periodic,
-        gravity=(0.0, 0.0, -scene.gravity),
+        gravity=(0.0, 0.0, -scene.g),
         dt=model.dt,
         start=start,
-        count=particles.count,
+        count=particles.number,
         skin=SKIN * d,
         bin_size=_bin_size(scene),
     )
 
 
-def _bin_size(scene: BedScene) -> float:
-    column, particles = scene.column, scene.particles
+def _bin_size(scene: Scene) -> float:
+    particles = scene.group
     own = 0.5 * (1.0 + SKIN) * particles.diameter
-    box = column.width * column.depth * column.height
-    needed = float((box / (BINS_PER_PARTICLE * max(particles.count, 1))) ** (1.0 / 3.0))
+    needed = float((scene.box.volume / (BINS_PER_PARTICLE * max(particles.number, 1))) ** (1.0 / 3.0))
     return needed if needed > own else 0.0
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cache
-from typing import cast
+from typing import Literal, cast
 
 from kncal.core.checks import in_range, instance, one_of, plain_name, single
 from kncal.core.errors import CaseFileError, InputError, ValidityError
@@ -14,7 +14,6 @@ from kncal.engines.liggghts.deck_checks import expect
 from kncal.engines.liggghts.deck_tables import STYLES, AtomType, atom_types, contact_context
 from kncal.physics.matrix import PairMatrix
 from kncal.physics.timestep import usual_steps
-from kncal.scene.bed_scene import BedScene
 from kncal.scene.model import PairContact
 from kncal.scene.pair_contact import PairNumbers, Rest, pair_contact
 from kncal.scene.plan import contact_of, first_impact_speed
@@ -97,10 +96,11 @@ def matrix_block(
         ratio = float(in_range("k_t_ratio", single("k_t_ratio", ratio), 0.0, 10.0))
     contacts = {}
     for (a, b), c in matrix.calibrations.items():
-        # the law itself, which may be one of the user's own
-        choice = ContactChoice(law=cast("str", c.contact_law), end=c.end, k_t_ratio=ratio)
+        choice = ContactChoice(end=cast("Literal['overlap', 'force']", c.end), k_t_ratio=ratio)
         numbers = PairNumbers(float(c.e_n), mu, float(c.v_0), float(c.k_n))
-        contacts[a, b] = pair_contact(choice, c.pair, numbers, kind, Rest(0.0, 0.0), scene="matrix", names=f"{a}, {b}")
+        contacts[a, b] = pair_contact(
+            choice, c.pair, numbers, kind, Rest(0.0, 0.0), scene="matrix", names=f"{a}, {b}", law=c.contact_law
+        )
     if steps_per_contact is None:
         first = min(matrix.calibrations.values(), key=lambda c: float(c.e_n))
         steps_per_contact = usual_steps(first.contact_law, float(first.e_n), first.end)
@@ -108,7 +108,7 @@ def matrix_block(
     return liggghts_block(types, contacts, style, steps_per_contact)
 
 
-def case_block(scene: Scene | BedScene, style: str = "hooke/stiffness", steps_per_contact: float = 50.0) -> str:
+def case_block(scene: Scene, style: str = "hooke/stiffness", steps_per_contact: float = 50.0) -> str:
     """Return the block of a case: a type per material and radius, a type per wall material, every pair's own numbers.
 
     Also pairs that don't meet in the case get their numbers, since a deck of one's own may let them; friction is the
@@ -128,7 +128,7 @@ def case_block(scene: Scene | BedScene, style: str = "hooke/stiffness", steps_pe
     return liggghts_block(types, contacts, style, steps_per_contact)
 
 
-def _scene_contacts(scene: Scene | BedScene, kind: str) -> tuple[list[AtomType], Contacts]:
+def _scene_contacts(scene: Scene, kind: str) -> tuple[list[AtomType], Contacts]:
     species = species_of(scene)
     speed = cache(lambda: first_impact_speed(scene))  # it looks at every pair
     contacts = {}

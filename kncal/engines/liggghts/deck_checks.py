@@ -6,9 +6,9 @@ import math
 
 from kncal.core.errors import RenderError
 from kncal.physics.laws import LAWS
-from kncal.scene.bed_scene import DEPTHS
-from kncal.scene.model import BedModel, Model, PairContact
-from kncal.scene.scene import AXES, Particle, Scene, Vector
+from kncal.scene.bodies import AXES, Particle, Vector
+from kncal.scene.model import PairContact, Plan
+from kncal.scene.scene import DEPTHS, Scene
 
 #: LIGGGHTS counts the steps of one `run` in 32 bits.
 MOST_STEPS = 2**31 - 1
@@ -58,7 +58,7 @@ def check_run(name: str, kind: str, kind_of_style: str, dt: float, steps: int | 
     expect(steps is None or 1 <= steps <= MOST_STEPS, name, f"{steps} steps", f"1 to {MOST_STEPS} steps")
 
 
-def check_model(model: Model) -> None:
+def check_model(model: Plan) -> None:
     """Refuse a recording schedule that is none, or a model without exactly one contact for every pair."""
     name, every = model.scene.name, model.record_every
     expect(every >= 1, name, f"record_every = {every}", "at least 1 step")
@@ -68,21 +68,21 @@ def check_model(model: Model) -> None:
     expect(wanted == set(model.contacts), name, "contacts of other pairs than the scene's", "one contact per pair")
 
 
-def check_bed(model: BedModel) -> None:
+def check_bed(model: Plan) -> None:
     """Refuse what LIGGGHTS would run without a word: numbers of the bed, a missing contact, a thin periodic column."""
-    scene, column, d = model.scene, model.scene.column, model.scene.particles.diameter
-    name, gravity = scene.name, scene.gravity
-    expect(column.front_back in DEPTHS, name, f"front_back {column.front_back!r}", f"one of {', '.join(DEPTHS)}")
+    scene, box, d = model.scene, model.scene.box, model.scene.group.diameter
+    name, gravity = scene.name, scene.g
+    expect(scene.front_back in DEPTHS, name, f"front_back {scene.front_back!r}", f"one of {', '.join(DEPTHS)}")
     expect(math.isfinite(d) and d > 0.0, name, f"diameter = {d!r} m", "a finite diameter > 0")
     expect(math.isfinite(gravity) and gravity >= 0.0, name, f"gravity = {gravity!r} m/s²", "a finite value >= 0")
     for pair in model.species.pairs():
         one, other = model.species.names(pair)
         expect(pair in model.contacts, name, f"no contact of {one} with {other}", "one contact per pair")
-    if column.front_back == "periodic":
+    if scene.front_back == "periodic":
         expect(
-            column.depth >= LEAST_PERIODIC * d,
+            box.depth >= LEAST_PERIODIC * d,
             name,
-            f"periodic depth {column.depth:g} m",
+            f"periodic depth {box.depth:g} m",
             f"at least {LEAST_PERIODIC:g} diameters ({LEAST_PERIODIC * d:g} m), so that no two particles touch twice",
         )
 
@@ -91,15 +91,15 @@ def check_start(scene: Scene) -> None:
     """Refuse bodies of one name and centres in one place (LIGGGHTS computes NaN from there to the end)."""
     names = [body.name for body in scene.bodies]
     expect(len(set(names)) == len(names), scene.name, "two bodies of one name", "a name of its own for each")
-    expect(bool(scene.particles), scene.name, "no particle", "at least one")
+    expect(bool(scene.spheres), scene.name, "no particle", "at least one")
     expect_vector(scene.name, "gravity", scene.gravity)
-    for particle in scene.particles:
+    for particle in scene.spheres:
         expect_vector(particle.name, "position", particle.position)
         expect_vector(particle.name, "velocity", particle.velocity)
         expect_vector(particle.name, "spin", particle.spin)
         radius = particle.radius
         expect(math.isfinite(radius) and radius > 0.0, particle.name, f"radius = {radius!r} m", "a radius > 0")
-    for wall in scene.walls:
+    for wall in scene.planes:
         expect(math.isfinite(wall.position), wall.name, f"position = {wall.position!r} m", "a finite position")
     for a, b in scene.body_pairs():
         if isinstance(b, Particle):

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from kncal.core.errors import RenderError
 from kncal.engines.liggghts.deck_checks import ROUNDING, check_contact, expect, expect_same, require_law
 from kncal.physics.material import Material, pair, wall_pair
+from kncal.scene.bodies import Particle
 from kncal.scene.model import PairContact
-from kncal.scene.scene import Particle
 from kncal.scene.species import SpeciesTable
 
 #: Normal models of LIGGGHTS, and the kind of contact that each is made from.

@@ -28,8 +28,8 @@ from kncal.engines.liggghts.deck_checks import expect
 from kncal.engines.liggghts.impacts import Side, speed_edges
 from kncal.engines.liggghts.library_child import LIBRARY, SAVED_FORCES, VARIABLE, Shared, histogram_edges
 from kncal.record.steps import DemStep
-from kncal.scene.bed_scene import BedScene
-from kncal.scene.model import BedModel
+from kncal.scene.model import Plan
+from kncal.scene.scene import Scene
 
 LOG = "log.liggghts"
 #: What `LiggghtsDem.save` writes.
@@ -48,7 +48,7 @@ class LiggghtsDem:
 
     Parameters
     ----------
-    model : BedModel
+    model : Plan
     folder : Path
         The child's folder (made if missing): deck, particles, log.
     positions : (n, 3) centres [m], row i is the particle with id i + 1; None with ``restart``
@@ -72,7 +72,7 @@ class LiggghtsDem:
 
     def __init__(
         self,
-        model: BedModel,
+        model: Plan,
         folder: Path,
         positions: Array | None,
         velocities: Array | None = None,
@@ -81,10 +81,10 @@ class LiggghtsDem:
         pass_fds: Sequence[int] = (),
     ) -> None:
         scene = model.scene
-        self.histogram_edges = histogram_edges(scene.particles.diameter)
+        self.histogram_edges = histogram_edges(scene.group.diameter)
         self.impact_edges = speed_edges()
-        self._count = scene.particles.count
-        self._plane = middle(scene) if scene.column.front_back == "layer" else None
+        self._count = scene.group.number
+        self._plane = middle(scene) if scene.layer else None
         self._folder = folder
         self._step = 0
         folder.mkdir(parents=True, exist_ok=True)
@@ -102,11 +102,11 @@ class LiggghtsDem:
         arguments = {
             "count": self._count,
             "deck": DECK,
-            "diameter": scene.particles.diameter,
+            "diameter": scene.group.diameter,
             "dt": model.dt,
-            "gravity": scene.gravity,
+            "gravity": scene.g,
             "plane": self._plane,
-            "period": scene.column.depth if scene.column.front_back == "periodic" else None,
+            "period": scene.box.depth if scene.periodic else None,
             "sides": sides(scene),
             "saved": SAVED_FORCES if restart else "",
         }
@@ -269,15 +269,15 @@ class LiggghtsDem:
         return RunError(text, failure)
 
 
-def sides(scene: BedScene) -> list[Side]:
+def sides(scene: Scene) -> list[Side]:
     """Return the pairs of walls of the column: axis, and coordinate of the second wall [m]; the first is at 0."""
-    column = scene.column
-    return [(0, column.width), (2, column.height)] + ([(1, column.depth)] if column.front_back == "walls" else [])
+    box = scene.box
+    return [(0, box.width), (2, box.height)] + ([(1, box.depth)] if scene.front_back == "walls" else [])
 
 
-def middle(scene: BedScene) -> float:
+def middle(scene: Scene) -> float:
     """Return the y of a layer's plane [m]."""
-    return 0.5 * scene.column.depth
+    return 0.5 * scene.box.depth
 
 
 def _as_rows(name: str, value: Array, count: int) -> Array:
@@ -288,14 +288,13 @@ def _as_rows(name: str, value: Array, count: int) -> Array:
     return rows
 
 
-def _check_inside(model: BedModel, x: Array, v: Array | None) -> None:
-    column = model.scene.column
-    size = np.array([column.width, column.depth, column.height])
+def _check_inside(model: Plan, x: Array, v: Array | None) -> None:
+    size = np.array(model.scene.box.size)
     outside = np.flatnonzero(((x < 0.0) | (x > size)).any(axis=1))
     if outside.size:
         i = int(outside[0])
         raise InputError(f"positions[{i}] = {x[i].tolist()}: expected a centre inside the column {size.tolist()} m")
-    if column.front_back == "layer":
+    if model.scene.layer:
         y = middle(model.scene)
         if (x[:, 1] != y).any():
             raise InputError(f"positions: a layer lies in the plane y = depth/2 = {y!r} m, some are beside it")

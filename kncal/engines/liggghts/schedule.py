@@ -10,14 +10,14 @@ from __future__ import annotations
 
 import math
 
-from kncal.scene.model import Model
-from kncal.scene.scene import AXES, Particle
+from kncal.scene.bodies import AXES, Particle
+from kncal.scene.model import Plan
 
 #: At least as many frames would be written in a pure flight: a frame costs as much as some 40 steps of few particles.
 FLIGHT_FRAMES = 30
 
 
-def schedule(model: Model) -> dict[str, object]:
+def schedule(model: Plan) -> dict[str, object]:
     """Return the recording schedule as the deck's template needs it.
 
     With D = ``dense`` and S = ``sparse`` steps between frames in contact and in flight, the next frame comes after
@@ -31,7 +31,7 @@ def schedule(model: Model) -> dict[str, object]:
     """
     dense, sparse = model.record_every, max(model.flight_every, model.n_steps // FLIGHT_FRAMES)
     reach = 2.0 * sparse * model.dt
-    ids = {particle.name: index for index, particle in enumerate(model.scene.particles, start=1)}
+    ids = {particle.name: index for index, particle in enumerate(model.scene.spheres, start=1)}
     pairs: list[dict[str, object]] = []
     for a, b in model.scene.body_pairs():
         entry: dict[str, object] = {"i": ids[a.name], "tiny": 1e-12 * a.radius}

@@ -25,10 +25,10 @@ from kncal.engines.settle import start_positions
 from kncal.physics.fluidization import relaxation_time
 from kncal.record.series import BedSeries, read_series
 from kncal.runs.workflow import require_completed
-from kncal.scene.bed_scene import BedScene
 from kncal.scene.limits import check
 from kncal.scene.load import EPS_SETTLED, largest_superficial, settled_height
 from kncal.scene.plan import plan
+from kncal.scene.scene import Scene
 
 #: Particles of a reduced bed, its gas cells in x and y, and its simulated time [s].
 COUNT, CELLS, END_TIME = 600, (3, 2), 0.05
@@ -101,28 +101,27 @@ class BedEdge:
         return {"name": self.name, "sentence": self.sentence, "runs": [asdict(r) for r in self.runs]}
 
 
-def reduced(scene: BedScene) -> BedScene:
+def reduced(scene: Scene) -> Scene:
     """Return the bed with fewer particles in a smaller column: same particles, gas velocity, cell size and steps."""
-    column = scene.column
-    sizes = (column.width, column.depth, column.height)
-    edges = [size / n for size, n in zip(sizes, column.cells, strict=True)]
-    across = min(CELLS[0], column.cells[0])
-    deep = column.cells[1] if column.front_back == "layer" else min(CELLS[1], column.cells[1])
-    gas = None if scene.gas is None else replace(scene.gas, U_0=largest_superficial(scene), jet=None, ramp=())
-    small = replace(
-        scene,
-        name=f"{scene.name[:50]}-reduced",
-        column=replace(column, width=across * edges[0], depth=deep * edges[1]),
-        particles=replace(scene.particles, count=min(COUNT, scene.particles.count), packing="settled", positions=()),
-        gas=gas,
-        run=replace(scene.run, end_time=END_TIME, discard=None),
-    )
+    gas = scene.gas
+    assert gas is not None  # noqa: S101  # `bed_edges` sees to it
+    edges = [size / n for size, n in zip(scene.box.size, gas.cells, strict=True)]
+    across = min(CELLS[0], gas.cells[0])
+    deep = gas.cells[1] if scene.layer else min(CELLS[1], gas.cells[1])
+    small = scene.with_group(
+        count=min(COUNT, scene.group.number), place="settled", position=None, positions=()
+    ).with_box(size=(across * edges[0], deep * edges[1], scene.box.height))
     layers = max(math.ceil(2.5 * settled_height(small) / edges[2]), 6)
-    return replace(small, column=replace(small.column, height=layers * edges[2], cells=(across, deep, layers)))
+    return replace(
+        small.with_box(size=(*small.box.size[:2], layers * edges[2])),
+        name=f"{scene.name[:50]}-reduced",
+        gas=replace(gas, U_0=largest_superficial(scene), jet=None, ramp=(), cells=(across, deep, layers)),
+        run=replace(scene.run, until_time=END_TIME, discard=None),
+    )
 
 
 def bed_edges(
-    scene: BedScene,
+    scene: Scene,
     folder: Path,
     *,
     transport: str = "auto",
@@ -137,7 +136,7 @@ def bed_edges(
         If the packing of the reduced bed fails; `SolverMissingError`, `InterruptedRunError` if a run could not start or
         was stopped. Other failures are what is looked for.
     """
-    if scene.gas is None or scene.particles.frozen or scene.particles.count < 2 or scene.gravity == 0.0:
+    if scene.gas is None or scene.group.frozen or scene.group.number < 2 or scene.g == 0.0:
         return []
     small = reduced(scene)
     positions = start_positions(small, tell=tell)
@@ -158,35 +157,28 @@ def bed_edges(
     return edges
 
 
-def _scans(
-    scene: BedScene, *, quick: bool
-) -> list[tuple[str, str, list[tuple[float, float, BedScene]], tuple[str, ...]]]:
-    gas, column, d = scene.gas, scene.column, scene.particles.diameter
+def _scans(scene: Scene, *, quick: bool) -> list[tuple[str, str, list[tuple[float, float, Scene]], tuple[str, ...]]]:
+    gas, box, d = scene.gas, scene.box, scene.group.diameter
     assert gas is not None  # noqa: S101  # `bed_edges` sees to it
     speed = largest_superficial(scene) / EPS_SETTLED
-    h = column.height / column.cells[2]
-    tau = float(
-        relaxation_time(
-            float(scene.particles.material.density), d, gas.density, gas.viscosity, slip=speed, eps_g=EPS_SETTLED
-        )
-    )
+    h = box.height / gas.cells[2]
+    tau = float(relaxation_time(scene.density, d, gas.density, gas.viscosity, slip=speed, eps_g=EPS_SETTLED))
     step = 0.25 * h / speed
     courant = COURANT[::2] if quick else COURANT
     relaxation = RELAXATION[:-2:2] if quick else RELAXATION
     cells = CELL[::2] if quick else CELL
     longest = courant[-1] * h / speed
 
-    def with_run(coupling: float, gas_step: float) -> BedScene:
+    def with_run(coupling: float, gas_step: float) -> Scene:
         # at least four intervals, however long
         end = max(END_TIME, 4.0 * coupling)
-        return replace(scene, run=replace(scene.run, coupling=coupling, gas_step=gas_step, end_time=end))
+        return replace(scene, run=replace(scene.run, coupling=coupling, gas_step=gas_step, until_time=end))
 
-    def with_cells(ratio: float) -> BedScene:
-        sizes = (column.width, column.depth, column.height)
-        nx, ny, nz = (max(round(size / (ratio * d)), 1) for size in sizes)
-        cells = (nx, 1 if column.front_back == "layer" else ny, nz)
+    def with_cells(ratio: float) -> Scene:
+        nx, ny, nz = (max(round(size / (ratio * d)), 1) for size in box.size)
+        cells = (nx, 1 if scene.layer else ny, nz)
         fine = min(step, 0.25 * ratio * d / speed)
-        return replace(with_run(fine, fine), column=replace(column, cells=cells))
+        return replace(with_run(fine, fine), gas=replace(gas, cells=cells))
 
     return [
         ("gas step", "s", [(c, c * h / speed, with_run(longest, c * h / speed)) for c in courant], ("courant",)),
@@ -200,7 +192,7 @@ def _scans(
     ]
 
 
-def _level(scene: BedScene, codes: Sequence[str]) -> str:
+def _level(scene: Scene, codes: Sequence[str]) -> str:
     findings = [f for f in check(plan(scene, ("linear",))["linear"]) if f.code in codes]
     if not findings:
         return "ok"
@@ -214,7 +206,7 @@ class _Ended(Record):
     message: str
 
 
-def _run(scene: BedScene, positions: Array, folder: Path, transport: str) -> tuple[str, str, BedSeries | None]:
+def _run(scene: Scene, positions: Array, folder: Path, transport: str) -> tuple[str, str, BedSeries | None]:
     """Status or failure, message, and what is there of the series. Limits are not asked: the run goes past them.
 
     A run that ended, of the same input, is not run again: its folder's name is a hash of it.

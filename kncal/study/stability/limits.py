@@ -10,8 +10,8 @@ from kncal.core.checks import Array
 from kncal.core.errors import InputError
 from kncal.physics.material import sphere_mass
 from kncal.physics.timestep import verlet_limit
-from kncal.scene.model import Model, PairContact
-from kncal.scene.scene import AXES, Wall
+from kncal.scene.bodies import AXES, Wall
+from kncal.scene.model import PairContact, Plan
 
 #: A spectral radius of one is found but for rounding: double eigenvalues (free motion) are split by sqrt(1e-16).
 _ROUNDING = 1e-6
@@ -39,9 +39,9 @@ class Touching:
     m_eff: float
 
 
-def touching(model: Model) -> list[Touching]:
+def touching(model: Plan) -> list[Touching]:
     """Return the contacts of a model at t = 0."""
-    index = {p.name: i for i, p in enumerate(model.scene.particles)}
+    index = {p.name: i for i, p in enumerate(model.scene.spheres)}
     found = []
     for a, b in model.scene.body_pairs():
         c = model.between(a.name, b.name)
@@ -67,7 +67,7 @@ def tangent(contact: PairContact, delta: float) -> tuple[float, float]:
     return contact.n * contact.k * delta ** (contact.n - 1.0), contact.c * delta**contact.p
 
 
-def advised_limit(model: Model, contacts: float) -> float:
+def advised_limit(model: Plan, contacts: float) -> float:
     """Return the largest step [s] that `kncal.physics.timestep.verlet_limit` allows, for the contacts there at t = 0.
 
     Raises
@@ -81,7 +81,7 @@ def advised_limit(model: Model, contacts: float) -> float:
     return min(float(verlet_limit(t.stiffness, t.m_eff, t.damping, contacts)) for t in there)
 
 
-def impact_limit(model: Model, contacts: float = 1.0) -> float:
+def impact_limit(model: Plan, contacts: float = 1.0) -> float:
     """Return the same for all contacts of a scene, at the largest overlap of an impact at v_0 [s]."""
     numbers = [(*tangent(c, c.delta_max), c.m_eff) for c in model.contacts.values() if c.delta_max]
     if not numbers:
@@ -89,7 +89,7 @@ def impact_limit(model: Model, contacts: float = 1.0) -> float:
     return min(float(verlet_limit(k, m, eta, contacts)) for k, eta, m in numbers)
 
 
-def arrangement_limit(model: Model) -> float:
+def arrangement_limit(model: Plan) -> float:
     """Return the largest stable step [s] of the contacts there at t = 0, linearised, in this very arrangement.
 
     The iteration v' = v - dt M^-1 (K x + D v), x' = x + dt v' (velocity Verlet with damping from half-step velocities)
@@ -103,7 +103,7 @@ def arrangement_limit(model: Model) -> float:
     """
     there = touching(model)
     guess = advised_limit(model, 1.0)
-    size = 3 * len(model.scene.particles)
+    size = 3 * len(model.scene.spheres)
     K, D = np.zeros((size, size)), np.zeros((size, size))
     for t in there:
         way = np.zeros(size)
@@ -112,7 +112,7 @@ def arrangement_limit(model: Model) -> float:
             way[3 * t.second : 3 * t.second + 3] = -t.normal
         K += t.stiffness * np.outer(way, way)
         D += t.damping * np.outer(way, way)
-    m = np.repeat([float(sphere_mass(p.material, p.radius)) for p in model.scene.particles], 3)
+    m = np.repeat([float(sphere_mass(p.material, p.radius)) for p in model.scene.spheres], 3)
     low, high = 0.05 * guess, 5.0 * guess
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)

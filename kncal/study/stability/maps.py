@@ -95,7 +95,7 @@ def _row(
     probe = build(kind, y)
     limit = impact_limit(probe.model)
     # the last two jump over the radius, or right through, in one step
-    through = probe.scene.particles[0].radius / (_speed(probe) * limit)
+    through = probe.scene.spheres[0].radius / (_speed(probe) * limit)
     shares = [*(STEPS_QUICK if quick else STEPS), *(x for x in (through, 3.0 * through) if x > STEPS[-1])]
     cells = []
     for engine, run in (("builtin", run_builtin), ("liggghts", liggghts)):
@@ -108,7 +108,7 @@ def _row(
 
 def _speed(probe: Probe) -> float:
     """Return the largest speed at the start of a probe [m/s]."""
-    return max(float(np.linalg.norm(p.velocity)) for p in probe.scene.particles)
+    return max(float(np.linalg.norm(p.velocity)) for p in probe.scene.spheres)
 
 
 def _soft_and_fast(given: Ingredients, *, quick: bool) -> list[Cell]:
@@ -118,7 +118,7 @@ def _soft_and_fast(given: Ingredients, *, quick: bool) -> list[Cell]:
     for soft in SOFTER[::2] if quick else SOFTER:
         for fast in FASTER[1::2] if quick else FASTER:
             k_n, v_0 = first.k * soft, given.v_0 * fast
-            contact = replace(given.contact, k_n=k_n, v_0=v_0, method="mean_overlap", method_options={}, pairs=())
+            contact = replace(given.contact, k_n=k_n, v_0=v_0, method="mean_overlap", options={}, pairs=())
             dt = None
             try:
                 probe = impact_on_wall(replace(given, contact=contact), "linear", contact.e_n)

@@ -15,7 +15,7 @@ from kncal.observe.energy import balance_of, energy
 from kncal.physics.material import sphere_mass
 from kncal.physics.timestep import predict_error
 from kncal.record.frames import Trajectory
-from kncal.scene.model import Model
+from kncal.scene.model import Plan
 
 STABLE, GAIN, RESTITUTION = "stable", "energy-gain", "wrong-restitution"
 TUNNELLING, LOST, NOT_FINITE, REFUSED, FAILED = "tunnelling", "lost-particles", "not-finite", "refused", "failed"
@@ -70,12 +70,12 @@ def outcome_of_error(error: KncalError) -> Outcome:
     return outcome_of_failure(error.failure if isinstance(error, RunError) else "bad-input", str(error))
 
 
-def judge(model: Model, trajectory: Trajectory, *, pressed: bool = False) -> Outcome:
+def judge(model: Plan, trajectory: Trajectory, *, pressed: bool = False) -> Outcome:
     """Return what became of a run, from its frames.
 
     Parameters
     ----------
-    model : Model
+    model : Plan
         Smooth contacts; the energy of others cannot be told.
     trajectory : dense in contact
     pressed : the bodies start at rest under load (see `kncal.study.stability.probes`): a growing nudge is what is
@@ -89,7 +89,7 @@ def judge(model: Model, trajectory: Trajectory, *, pressed: bool = False) -> Out
     return _judge_pressed(model, trajectory) if pressed else _judge_motion(model, trajectory)
 
 
-def _judge_pressed(model: Model, trajectory: Trajectory) -> Outcome:
+def _judge_pressed(model: Plan, trajectory: Trajectory) -> Outcome:
     found = energy(model, trajectory)
     part = len(found.t) // 3
     if part < 10 or found.kinetic[0] <= 0.0:
@@ -109,7 +109,7 @@ def _judge_pressed(model: Model, trajectory: Trajectory) -> Outcome:
     return Outcome(code=STABLE, message=f"a nudge does not grow (factor {growth:.4g} per step)", numbers=numbers)
 
 
-def _judge_motion(model: Model, trajectory: Trajectory) -> Outcome:
+def _judge_motion(model: Plan, trajectory: Trajectory) -> Outcome:
     seen, found = observe(model, trajectory), energy(model, trajectory)
     scale = float(found.kinetic[0] + found.stored[0])
     numbers: dict[str, float] = {}
@@ -117,7 +117,7 @@ def _judge_motion(model: Model, trajectory: Trajectory) -> Outcome:
         numbers["energy_change"] = float(found.mechanical[-1] - found.mechanical[0]) / scale
         balances = [balance_of(event, found) for event in seen.contacts]
         numbers["balance_error"] = max(balances, key=abs, default=0.0)
-    if not model.scene.walls and not any(model.scene.gravity):
+    if not model.scene.planes and not any(model.scene.gravity):
         numbers["momentum"] = _momentum(model, trajectory)
     numbers |= _restitution(model, seen)
     worst = numbers.get("e_n_predicted")
@@ -142,13 +142,13 @@ def _judge_motion(model: Model, trajectory: Trajectory) -> Outcome:
     return Outcome(code=STABLE, message=f"e_n is {100.0 * off:+.3g} % off, as predicted", numbers=numbers)
 
 
-def _restitution(model: Model, seen: Observations) -> dict[str, float]:
+def _restitution(model: Plan, seen: Observations) -> dict[str, float]:
     """The contact whose restitution is furthest off; nothing for bodies that touch several others at once."""
     touched: dict[str, int] = {}
     for event in seen.contacts:
         for name in event.pair:
             touched[name] = touched.get(name, 0) + 1
-    moving = {p.name for p in model.scene.particles}
+    moving = {p.name for p in model.scene.spheres}
     single = [e for e in seen.contacts if e.e_n is not None and all(touched[n] == 1 for n in e.pair if n in moving)]
     if not single:
         return {}
@@ -166,12 +166,12 @@ def _restitution(model: Model, seen: Observations) -> dict[str, float]:
     return numbers
 
 
-def _exact_e_n(model: Model, pair: tuple[str, str]) -> float:
+def _exact_e_n(model: Plan, pair: tuple[str, str]) -> float:
     return model.between(*pair).e_n
 
 
-def _momentum(model: Model, trajectory: Trajectory) -> float:
-    m = np.array([float(sphere_mass(p.material, p.radius)) for p in model.scene.particles])
+def _momentum(model: Plan, trajectory: Trajectory) -> float:
+    m = np.array([float(sphere_mass(p.material, p.radius)) for p in model.scene.spheres])
     p = np.einsum("p,fpk->fk", m, trajectory.v)
     scale = float((m * np.linalg.norm(trajectory.v[0], axis=1)).sum())
     return float(np.linalg.norm(p[-1] - p[0])) / scale if scale > 0.0 else math.nan

@@ -20,10 +20,10 @@ import numpy as np
 from kncal.core.checks import Array
 from kncal.core.errors import InputError
 from kncal.physics.material import Material
-from kncal.scene.bed_scene import PARTICLES, WALLS, BedScene
-from kncal.scene.model import Model, PairContact
+from kncal.scene.bodies import AXES, Axis, Particle, Vector, Wall
+from kncal.scene.model import PairContact, Plan
 from kncal.scene.plan import first_impact_speed, plan
-from kncal.scene.scene import ContactChoice, PairChoice, Particle, RunControl, Scene, Vector, Wall
+from kncal.scene.scene import ContactChoice, PairChoice, RunControl, Scene
 
 #: Overlap of a pressed cluster over the diameter. Small, since squeezed spheres without friction buckle sideways, at
 #: sqrt(overlap/d) of the frequency of the springs; the stiffness of a linear contact does not care.
@@ -31,7 +31,7 @@ PRESSED_SHARE = 1e-6
 #: The nudge of a pressed probe over omega times the overlap: small enough to grow by a factor of 1e4 before a contact
 #: opens.
 NUDGE = 1e-4
-#: Gravity that a case may have [m/s²] (see `kncal.scene.case_schema`), but for a margin.
+#: Gravity that a case may have [m/s²] (see `kncal.scene.values`), but for a margin.
 _STRONGEST = 9e4
 #: Spheres side by side in an impact on a wall: as many sub-step phases of first touch.
 ABREAST = 8
@@ -76,7 +76,7 @@ class Ingredients:
         return self.contact.v_0
 
 
-def ingredients(case: Scene | BedScene) -> Ingredients:
+def ingredients(case: Scene) -> Ingredients:
     """Return what the probes of a case are made from.
 
     Raises
@@ -84,20 +84,15 @@ def ingredients(case: Scene | BedScene) -> Ingredients:
     InputError
         If the case has no impact speed, neither given nor from its own motion.
     """
-    others: list[str] = []
-    if isinstance(case, BedScene):
-        material, radius, wall = case.particles.material, 0.5 * case.particles.diameter, case.column.wall_material
-        if not case.particles.count:
-            raise InputError(f"{case.name}: a bed without particles has no contacts: expected some particles")
-        speed, names = case.contact.v_0, {PARTICLES: material.name, WALLS: _name(wall)}
-    else:
-        first = case.particles[0]
-        material, radius = first.material, first.radius
-        others = [p.name for p in case.particles if (p.material, p.radius) != (material, radius)]
-        others += [w.name for w in case.walls[1:] if w.material != case.walls[0].material]
-        wall = case.walls[0].material if case.walls else None
-        speed = case.contact.v_0 if case.contact.v_0 is not None else first_impact_speed(case)
-        names = {p.name: p.material.name for p in case.particles} | {w.name: _name(w.material) for w in case.walls}
+    if case.coupled and not case.group.number:
+        raise InputError(f"{case.name}: a bed without particles has no contacts: expected some particles")
+    spheres, planes = case.spheres, case.planes
+    material, radius = spheres[0].material, spheres[0].radius
+    wall = planes[0].material if planes else None
+    others = [p.name for p in spheres if (p.material, p.radius) != (material, radius)]
+    others += [w.name for w in planes[1:] if w.material != wall]
+    speed = case.contact.v_0 if case.contact.v_0 is not None else first_impact_speed(case)
+    names = {p.name: p.material.name for p in spheres} | {w.name: _name(w.material) for w in planes}
     if speed is None:
         raise InputError(f"{case.name}: nothing meets, so there is no impact speed: expected contact.v_0 [m/s]")
     contact = case.contact
@@ -163,10 +158,10 @@ class Probe:
     size_ratio: float = 1.0
     pressed: bool
     scene: Scene
-    model: Model
+    model: Plan
 
 
-def at_step(model: Model, dt: float, n_steps: int) -> Model:
+def at_step(model: Plan, dt: float, n_steps: int) -> Plan:
     """Return ``model`` with another time step [s] and number of steps; every step in contact leaves a frame."""
     flight = max(round(model.shortest / dt), 1)
     return replace(model, dt=dt, t_end=dt * n_steps, n_steps=n_steps, record_every=1, flight_every=flight)
@@ -283,7 +278,7 @@ def _cluster(given: Ingredients, kind: str, e_n: float, contacts: int) -> Probe:
     push = np.abs((d[near] / length[near, None]).sum(axis=0)) * inner.k * delta**inner.n
     axis = int(np.argmax(np.abs(units[0])))
     plane = float(np.abs(centres).max()) + R - (float(push[axis]) / outer.k) ** (1.0 / outer.n)
-    axes = {"xyz"[k]: plane for k in range(3) if np.any(units[:, k] != 0.0)}
+    axes: dict[Axis, float] = {AXES[k]: plane for k in range(3) if np.any(units[:, k] != 0.0)}
     # within the space of the arrangement: in the other directions nothing holds the spheres
     held = np.array([float(a in axes) for a in "xyz"])
     nudges: Array = np.random.default_rng(1).uniform(-1.0, 1.0, centres.shape) * held * _nudge(inner, delta)
@@ -301,7 +296,7 @@ def _units(contacts: int) -> Array:
     return np.asarray(directions / np.linalg.norm(directions, axis=1)[:, None])
 
 
-def _box(axes: dict[str, float], material: Material | None) -> tuple[Wall, ...]:
+def _box(axes: dict[Axis, float], material: Material | None) -> tuple[Wall, ...]:
     return tuple(
         Wall(name=f"{axis}-{side}", axis=axis, position=sign * plane, material=material)
         for axis, plane in axes.items()
@@ -342,16 +337,16 @@ def _scene(
     gravity: Vector = (0.0, 0.0, 0.0),
 ) -> Scene:
     pairs = tuple(replace(choice, e_n=None if choice.e_n is None else e_n) for choice in given.contact.pairs)
-    return Scene(
+    return Scene.of(
+        particles,
+        walls,
         name=name,
         title=f"Probe of {given.name}",
-        particles=particles,
-        walls=walls,
         gravity=gravity,
         contact=replace(given.contact, e_n=e_n, pairs=pairs),
         # one step: each run brings its own (see `at_step`)
         run=RunControl(dt=1.0, until_time=1.0),
-        overrules={"tangential": False, "rolling": False},
+        needs={"tangential": False, "rolling": False},
     )
 
 

@@ -7,7 +7,6 @@ from pathlib import Path
 from kncal.core.checks import one_of
 from kncal.core.errors import SolverMissingError
 from kncal.engines.registry import get_engine
-from kncal.scene.bed_scene import BedScene
 from kncal.scene.model import KINDS
 from kncal.scene.scene import Scene
 from kncal.study.stability.accuracy import accuracy_edges
@@ -27,7 +26,7 @@ RATIOS = (10.0, 100.0)
 
 
 def study_stability(
-    case: Scene | BedScene,
+    case: Scene,
     folder: Path,
     *,
     engine: str = "liggghts",
@@ -40,7 +39,7 @@ def study_stability(
 
     Parameters
     ----------
-    case : Scene or BedScene
+    case : Scene or Scene
     folder : for the runs of solvers; the same study again there runs only what is missing
     engine : "liggghts" (the builtin engine looks, LIGGGHTS confirms) or "builtin" alone; of the coupled runs of a bed
         always both solvers
@@ -77,7 +76,7 @@ def study_stability(
     say("maps of outcomes")
     cells = outcome_maps(given, KINDS, runner, quick=quick, restitutions=varied)
     coupling = []
-    if isinstance(case, BedScene) and case.gas is not None and engine == "liggghts":
+    if case.coupled and case.gas is not None and engine == "liggghts":
         coupling = bed_edges(case, folder / BEDS, transport=transport, quick=quick, tell=say)
     return Stability(
         given=given,

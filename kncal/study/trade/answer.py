@@ -117,7 +117,7 @@ def _decides(trade: Trade, point: TradePoint) -> str:
     if needed <= end:
         how = "a larger --budget continues them"
     else:
-        how = f"set run.end_time to {needed:.2g} or more"
+        how = f"set run.until_time to {needed:.2g} or more"
         more = sum((cost(trade, p) or 0.0) for p in (point, trade.reference)) * needed / end
     shares = " and ".join(f"{p.ran_share * end:.2g} s" for p in (point, trade.reference))
     return (

@@ -190,6 +190,6 @@ class Averaged(Trials):
         if options.budget is not None:
             yield (
                 f"Budget {options.budget:g} s, used {self.budget.spent():.0f} s; {ran.count(0.0)} candidates had no"
-                " turn. The same command with a larger budget continues these runs; with another run.end_time it begins"
-                " others."
+                " turn. The same command with a larger budget continues these runs; with another run.until_time it"
+                " begins others."
             )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,6 @@ from kncal.core.errors import CaseFileError, InputError, KncalError
 from kncal.core.files import write_text
 from kncal.physics.fluidization import minimum_fluidization_velocity
 from kncal.physics.methods import METHODS
-from kncal.scene.bed_scene import PARTICLES, BedScene
 from kncal.scene.case_file import CASE, dump_case, load_case
 from kncal.scene.case_text import parse_toml, read_case, toml_key
 from kncal.scene.load import bottom_overlaps
@@ -132,9 +131,7 @@ def softer_materials(case: str | Path, reference: tuple[str, ...], factor: float
     return {f"materials.{toml_key(name)}.young": float(m["young"]) * factor for name, m in materials.items()}
 
 
-def softened(
-    case: str | Path, scene: Scene | BedScene, unsoftened: Plan[Any], factor: float, stripped: Changes
-) -> dict[str, Any]:
+def softened(case: str | Path, scene: Scene, unsoftened: Plan, factor: float, stripped: Changes) -> dict[str, Any]:
     """Return changes under which every pair has ``factor`` times its k_n; everything else of a pair stays.
 
     They hold ``stripped``, which takes out how the case finds k_n. One k_n where all pairs have the same, else an
@@ -152,7 +149,7 @@ def softened(
         changes = {key: value for key, value in stripped.items() if not key.startswith("contact.pairs.")}
         rows = []
         species = unsoftened.species
-        bodies = map(species.bodies, wanted) if isinstance(scene, BedScene) else scene.body_pairs()
+        bodies = map(species.bodies, wanted) if scene.coupled else scene.body_pairs()
         for a, b in bodies:
             numbers = pair_choice(scene, a, b)
             row = {"e_n": numbers.e_n, "friction": numbers.friction, "v_0": numbers.v_0}
@@ -166,19 +163,19 @@ def softened(
     return changes
 
 
-def _linear(scene: Scene | BedScene) -> Plan[Any]:
-    found: Plan[Any] = plan(scene, ("linear",))["linear"]
+def _linear(scene: Scene) -> Plan:
+    found: Plan = plan(scene, ("linear",))["linear"]
     return found
 
 
-def _without_stiffness(case: str | Path, scene: Scene | BedScene) -> dict[str, Any]:
+def _without_stiffness(case: str | Path, scene: Scene) -> dict[str, Any]:
     """Changes that take out how the case finds or prescribes k_n."""
     keys = ["contact.method", "contact.options", "contact.k_n"]
     keys += [f"contact.pairs.{i}.k_n" for i, row in enumerate(scene.contact.pairs) if row.k_n is not None]
     return removing(case, *keys)
 
 
-def _stiffness(found: Plan[Any]) -> float:
+def _stiffness(found: Plan) -> float:
     """k_n of the shortest contact [N/m]."""
     return min(found.contacts.values(), key=lambda contact: contact.t_c).k
 
@@ -186,40 +183,39 @@ def _stiffness(found: Plan[Any]) -> float:
 # --- the start of a bed -------------------------------------------------------
 
 
-def shared_case(scene: BedScene, folder: Path) -> tuple[Path, tuple[str, ...]]:
+def shared_case(scene: Scene, folder: Path) -> tuple[Path, tuple[str, ...]]:
     """Write the case that all candidates are variants of, from one start; return it, and what to know about it."""
-    particles = scene.particles
     notes: tuple[str, ...] = ()
-    if particles.packing == "settled" and particles.count:
+    if scene.group.place == "settled" and scene.group.number:
         if fluidised(scene):
-            particles = replace(particles, packing="lattice", settle_k_n=None)
+            scene = scene.with_group(place="lattice", settle_k_n=None)
             notes = (
                 "All runs start from the loose lattice, not from a settled bed: averages begin after the start-up,"
                 " which the gas makes in both, and settling a stiff bed takes as long as running it.",
             )
-        elif particles.settle_k_n is None:
-            particles = replace(particles, settle_k_n=settling_spring(scene))
-            notes = (f"All runs start from one packing, settled with k_n = {particles.settle_k_n:.3g} N/m.",)
+        elif scene.group.settle_k_n is None:
+            k_n = settling_spring(scene)
+            scene = scene.with_group(settle_k_n=k_n)
+            notes = (f"All runs start from one packing, settled with k_n = {k_n:.3g} N/m.",)
     path = folder / "start" / scene.name / CASE
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_text(path, dump_case(replace(scene, particles=particles)))
+    write_text(path, dump_case(scene))
     return path, notes
 
 
-def fluidised(scene: BedScene) -> bool:
+def fluidised(scene: Scene) -> bool:
     """Return whether steady gas moves the bed: faster than U_mf (Ergun) of the bed as loose as U_mf is stated at."""
-    gas, p = scene.gas, scene.particles
-    if gas is None or gas.ramp or p.frozen or scene.gravity <= 0.0:
+    gas, p = scene.gas, scene.group
+    if gas is None or gas.ramp or p.frozen or scene.g == 0.0:
         return False
-    density = float(p.material.density)
-    U_mf = minimum_fluidization_velocity(p.diameter, density, gas.density, gas.viscosity, _EPS_MF, scene.gravity)
+    U_mf = minimum_fluidization_velocity(p.diameter, scene.density, gas.density, gas.viscosity, _EPS_MF, scene.g)
     return gas.jet is not None or float(U_mf) < gas.U_0
 
 
-def settling_spring(scene: BedScene) -> float:
+def settling_spring(scene: Scene) -> float:
     """Return the stiffness that the bed settles with [N/m]: its own, or a softer one if that is too stiff for it."""
     model = plan(scene, ("linear",))["linear"]
-    own = model.between(PARTICLES, PARTICLES).k
+    own = model.contacts[0, 0].k
     overlap = bottom_overlaps(model).get((0, 0), 0.0)
-    wanted = START_OVERLAP * scene.particles.diameter
+    wanted = START_OVERLAP * scene.group.diameter
     return own if overlap <= 0.0 or wanted < STIFF * overlap else own * overlap / wanted

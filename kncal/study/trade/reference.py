@@ -11,9 +11,8 @@ from typing import Any
 from kncal.core.errors import InputError, KncalError, RunError
 from kncal.physics.laws import LAWS
 from kncal.physics.timestep import predict_error
-from kncal.scene.bed_scene import BedScene
-from kncal.scene.case_file import load_scene
-from kncal.scene.model import Model
+from kncal.scene.case_file import load_case
+from kncal.scene.model import Plan
 from kncal.scene.plan import MOST_STEPS, plan
 from kncal.scene.scene import Scene
 from kncal.study.trade.candidates import Contact
@@ -103,11 +102,11 @@ def ends_of(case: str | Path, scene: Scene, reference: Contact, tried: Sequence[
     no_dt = removing(case, "run.dt")
     if scene.run.until_time is not None:
         return Ends(changes=no_dt, until=None, contacts=None, pinned=scene.run.until_time)
-    until = plan(load_scene(case, overrides=texts({**reference.changes, **no_dt})), ("hertz",))["hertz"].t_end
+    until = plan(load_case(case, overrides=texts({**reference.changes, **no_dt})), ("hertz",))["hertz"].t_end
     latest = until
     for contact in tried:
         try:
-            models = plan(load_scene(case, overrides=texts({**contact.changes, **no_dt})), (contact.model,))
+            models = plan(load_case(case, overrides=texts({**contact.changes, **no_dt})), (contact.model,))
         except KncalError:
             continue  # it cannot be, or never bounces: its run tells why
         latest = max(latest, models[contact.model].t_end)
@@ -115,7 +114,7 @@ def ends_of(case: str | Path, scene: Scene, reference: Contact, tried: Sequence[
     return Ends(changes=changes, until=until, contacts=scene.run.until_bounces, pinned=latest)
 
 
-def converged_steps(model: Model, threshold: float, least: float) -> float:
+def converged_steps(model: Plan, threshold: float, least: float) -> float:
     """Return the N of `REFERENCE_STEPS` (at least ``least``) at which any sub-step phase of the first touch would do.
 
     A damped linear contact jumps at touch and converges slower than Hertz. Its predicted worst error at a hundred steps
@@ -152,7 +151,7 @@ def find_reference(runs: Runs, contact: Contact, ends: Ends, tolerances: Mapping
     return Found(candidate=candidate, truth=truth, convergence=found)
 
 
-def reference_steps(scene: BedScene, steps: tuple[float, ...], tolerance: float) -> tuple[float, float]:
+def reference_steps(scene: Scene, steps: tuple[float, ...], tolerance: float) -> tuple[float, float]:
     """Return N of the reference, and the discretisation error of one contact there, mean over phases [-].
 
     The chaos of a bed hides what a step does to its averages until runs are very long, so that N is chosen by what the

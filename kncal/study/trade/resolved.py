@@ -18,8 +18,8 @@ from kncal.engines.builtin.integrator import check
 from kncal.observe.cost import CPU_TRUSTED
 from kncal.observe.row import Row
 from kncal.observe.run_data import RunData
-from kncal.scene.case_file import load_scene
-from kncal.scene.model import KINDS, Model
+from kncal.scene.case_file import load_case
+from kncal.scene.model import KINDS, Plan
 from kncal.scene.plan import plan
 from kncal.study.trade.candidates import Contact, contacts
 from kncal.study.trade.errors import Reference, contact_rows, split_errors, worst_errors
@@ -67,9 +67,9 @@ class Resolved(Trials):
             return self.options.engine
         return "builtin"
 
-    def _planned(self, kind: str) -> Model:
+    def _planned(self, kind: str) -> Plan:
         """Return a model of the case itself, whose law, e_n and physics all of its contacts share."""
-        return plan(load_scene(self.case, overrides=self.ends.overrides), (kind,))[kind]
+        return plan(load_case(self.case, overrides=self.ends.overrides), (kind,))[kind]
 
     def run(self) -> None:
         """See `Trials.run`; what tells most first."""

@@ -18,7 +18,6 @@ from kncal.observe.run_data import RunData
 from kncal.record.series import read_series
 from kncal.runs.folder import read_model_folder, read_result
 from kncal.runs.workflow import load
-from kncal.scene.bed_scene import BedScene
 from kncal.scene.plan import plan
 from kncal.study.runs import VariantRun, run_variants
 from kncal.study.states import WAITING
@@ -191,7 +190,7 @@ def load_part(folder: Path) -> RunData:
         If the folder is not one, or its files are damaged.
     """
     scene, kind, _ = read_model_folder(folder)
-    if not isinstance(scene, BedScene):
+    if not scene.coupled:
         raise ReadError(f"{folder}: the run of a single contact, expected that of a bed")
     series = read_series(folder / "series")
     model = replace(plan(scene, (kind,))[kind], couplings=len(series.t))

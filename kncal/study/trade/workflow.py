@@ -16,7 +16,6 @@ from pathlib import Path
 from kncal.core.errors import InputError
 from kncal.core.files import write_csv, write_json, write_text
 from kncal.observe.verdict import Verdict
-from kncal.scene.bed_scene import BedScene
 from kncal.scene.case_file import CASE, dump_case, load_case
 from kncal.scene.scene import Scene
 from kncal.study.folders import refuse_other
@@ -106,7 +105,7 @@ def run_trade(
     return write_trade(case, trade_scene(case, scene, out, options, told), out)
 
 
-def _written(scene: Scene | BedScene, out: Path, options: TradeOptions, tell: Tell) -> tuple[Path, Scene | BedScene]:
+def _written(scene: Scene, out: Path, options: TradeOptions, tell: Tell) -> tuple[Path, Scene]:
     """Write the case that is traded, where it is not as in its file; return it, and its scene.
 
     An impact speed that is to be measured is measured now.

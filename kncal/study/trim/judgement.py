@@ -124,7 +124,7 @@ def change_text(row: Row) -> str:
 def _what_to_do(effects: Sequence[Row]) -> str:
     undecided = [row for row in effects if row.verdict == "undecided" and row.difference.value is not None]
     if (end := needed_end(undecided)) is not None:
-        return f", run until about {end:.3g} s (run.end_time) to decide"
+        return f", run until about {end:.3g} s (run.until_time) to decide"
     if undecided and all(row.tolerance is None for row in undecided):
         return ", say with --tolerance what matters"
     if any(row.difference.needed_end is None for row in undecided):

@@ -13,10 +13,9 @@ from typing import Any
 from kncal.core.checks import one_of
 from kncal.core.registry import Registry
 from kncal.physics.drag import DRAGS
-from kncal.scene.bed_scene import PARCELS, BedScene
 from kncal.scene.contact_limits import FEWEST_FRAMES
 from kncal.scene.needs import decide, untouched_walls
-from kncal.scene.scene import Scene
+from kncal.scene.scene import PARCELS, Scene
 from kncal.study.trim.trim import OFF, ON, OTHER, Part
 from kncal.study.variants import Changes
 
@@ -37,10 +36,10 @@ class PartKind:
     """
 
     name: str
-    find: Callable[[Any, str], Iterable[Part]]
+    find: Callable[[Scene, str], Iterable[Part]]
 
 
-def parts_of(scene: Scene | BedScene, model: str, groups: Iterable[str] | None = None) -> tuple[Part, ...]:
+def parts_of(scene: Scene, model: str, groups: Iterable[str] | None = None) -> tuple[Part, ...]:
     """Return the optional parts of ``scene``, run with the contact ``model``; ``groups``: only these.
 
     Raises
@@ -65,7 +64,7 @@ def _not(name: str, text: str, why: str) -> Part:
 def _friction(name: str, text: str) -> Callable[[Any, str], Iterator[Part]]:
     """Forced off where it is used, on where there is something to force."""
 
-    def find(scene: Any, _: str) -> Iterator[Part]:
+    def find(scene: Scene, _: str) -> Iterator[Part]:
         contact, needs = scene.contact, decide(scene)
         frictions = [contact.friction, *(c.friction for c in contact.pairs if c.friction is not None)]
         coefficients = {"tangential": max(frictions), "rolling": contact.rolling_friction}
@@ -82,7 +81,7 @@ def _friction(name: str, text: str) -> Callable[[Any, str], Iterator[Part]]:
     return find
 
 
-def _damping(scene: Any, _: str) -> Iterator[Part]:
+def _damping(scene: Scene, _: str) -> Iterator[Part]:
     text, contact = "damping of contacts", scene.contact
     rows = [i for i, choice in enumerate(contact.pairs) if choice.e_n not in (None, 1.0)]
     if contact.e_n == 1.0 and not rows:
@@ -98,14 +97,9 @@ def _contact_model(_: Any, model: str) -> Iterator[Part]:
     yield _part("contact_model", "Hertz contact", change, f"the {name} contact", model=other)
 
 
-def _coupled(scene: Any) -> bool:
-    """Whether particles are many, in a box with a grid."""
-    return isinstance(scene, BedScene)
-
-
-def _walls(scene: Any, _: str) -> Iterator[Part]:
+def _walls(scene: Scene, _: str) -> Iterator[Part]:
     text = "walls that nothing touches"
-    if _coupled(scene):
+    if scene.coupled:
         return
     if names := untouched_walls(scene):
         yield _part("walls", text, OFF, f"without {', '.join(names)}", {f"walls.{name}": None for name in names})
@@ -113,77 +107,83 @@ def _walls(scene: Any, _: str) -> Iterator[Part]:
         yield _not("walls", text, "every wall can be touched" if scene.walls else "the scene has no walls")
 
 
-def _front_back(scene: Any, _: str) -> Iterator[Part]:
-    if not _coupled(scene):
+def _front_back(scene: Scene, _: str) -> Iterator[Part]:
+    if not scene.coupled:
         return
-    text, found = "front and back walls", scene.column.front_back
+    text, found = "front and back walls", scene.front_back
     if found == "layer":
         yield _not("front_back", text, "one layer of particles, held in its plane")
     elif found == "walls":
-        yield _part("front_back", text, OFF, "periodic in depth", {"column.front_back": "periodic"})
+        yield _part("front_back", text, OFF, "periodic in depth", {"periodic": ["y"]})
     else:
-        yield _part("front_back", text, ON, "walls in front and at the back", {"column.front_back": "walls"})
+        yield _part("front_back", text, ON, "walls in front and at the back", {"periodic": None})
 
 
-def _depth(scene: Any, _: str) -> Iterator[Part]:
+def _depth(scene: Scene, _: str) -> Iterator[Part]:
     """One layer of particles, with as many of them per floor area."""
-    if not _coupled(scene):
+    if not scene.coupled:
         why = f"LIGGGHTS computes in three dimensions always; {decide(scene).dimensions_reason}"
         yield _not("depth", "third dimension", why)
         return
-    text, column, particles, d = "depth of the bed", scene.column, scene.particles, scene.particles.diameter
-    count = round(particles.count * d / column.depth)
+    text, box, group, d = "depth of the bed", scene.box, scene.group, scene.group.diameter
+    count = round(group.number * d / box.depth)
     why_not = {
-        "the bed is one layer of particles already": column.front_back == "layer",
-        "fewer than two particles": particles.count < 2,
-        "the positions of the particles are given, in three dimensions": particles.packing == "given",
-        "the bed is hardly deeper than a particle": count < 2 or column.depth < 1.5 * d,
+        "the bed is one layer of particles already": scene.layer is not None,
+        "fewer than two particles": group.number < 2,
+        "the positions of the particles are given, in three dimensions": group.place == "given",
+        "the bed is hardly deeper than a particle": count < 2 or box.depth < 1.5 * d,
     }
     if why := next((why for why, is_so in why_not.items() if is_so), ""):
         yield _not("depth", text, why)
         return
-    nx, _ny, nz = column.cells
-    layer = {"column.front_back": "layer", "column.depth": d, "column.cells": [nx, 1, nz], "particles.count": count}
+    (beads,), (column,) = scene.particles, scene.walls
+    layer: dict[str, Any] = {
+        "layer": "y",
+        f"walls.{column}.size": [box.width, d, box.height],
+        f"particles.{beads}.count": count,
+    }
+    layer |= {"periodic": None} if scene.periodic else {}
+    layer |= {} if scene.gas is None else {"gas.cells": [scene.gas.cells[0], 1, scene.gas.cells[2]]}
     lost = dict.fromkeys(OF_THE_DEPTH, "goes with the depth of the bed, or belongs to its grid")
     yield replace(_part("depth", text, OFF, f"one layer of {count} particles", layer), lost=lost)
 
 
-def _gas(scene: Any, _: str) -> Iterator[Part]:
+def _gas(scene: Scene, _: str) -> Iterator[Part]:
     if why := _no_gas(scene):
         yield _not("gas", "gas", why)
-    elif not scene.particles.count or scene.particles.frozen:
+    elif not scene.group.number or scene.group.frozen:
         yield _not("gas", "gas", "nothing else moves")
     else:
         step = {"run.gas_step": None} if scene.run.gas_step is not None else {}
         yield _part("gas", "gas", OFF, "particles only", {"gas": None, **step})
 
 
-def _no_gas(scene: Any) -> str:
+def _no_gas(scene: Scene) -> str:
     """Why a scene has no gas; empty if it has."""
-    return "" if _coupled(scene) and scene.gas is not None else "the case has no [gas]"
+    return "" if scene.gas is not None else "the case has no [gas]"
 
 
-def _no_force(scene: Any) -> str:
+def _no_force(scene: Scene) -> str:
     """Why a scene has no force of the gas on particles; empty if it has."""
-    return _no_gas(scene) or ("" if scene.particles.count else "there are no particles")
+    return _no_gas(scene) or ("" if scene.group.number else "there are no particles")
 
 
-def _drag(scene: Any, _: str) -> Iterator[Part]:
+def _drag(scene: Scene, _: str) -> Iterator[Part]:
     text = "drag law"
-    if not _coupled(scene):
+    if not scene.coupled:
         return
-    if why := _no_force(scene):
+    if (why := _no_force(scene)) or scene.gas is None:
         yield _not("drag", text, why)
         return
     other = next(name for name in DRAGS if name != scene.gas.drag)
     yield _part("drag", f"{text} {scene.gas.drag}", OTHER, f"drag by {other}", {"gas.drag": other})
 
 
-def _smoothing(scene: Any, _: str) -> Iterator[Part]:
+def _smoothing(scene: Scene, _: str) -> Iterator[Part]:
     text = "smoothing of the void fraction"
-    if not _coupled(scene):
+    if not scene.coupled:
         return
-    if why := _no_force(scene):
+    if (why := _no_force(scene)) or scene.gas is None:
         yield _not("smoothing", text, why)
         return
     now = scene.gas.parcels_per_particle
@@ -199,9 +199,9 @@ def _smoothing(scene: Any, _: str) -> Iterator[Part]:
             )
 
 
-def _gas_step(scene: Any, _: str) -> Iterator[Part]:
+def _gas_step(scene: Scene, _: str) -> Iterator[Part]:
     text, run = "finer gas step", scene.run
-    if not _coupled(scene):
+    if run.coupling is None:
         return
     if why := _no_gas(scene):
         yield _not("gas_step", text, why)
@@ -211,11 +211,17 @@ def _gas_step(scene: Any, _: str) -> Iterator[Part]:
         yield _part("gas_step", text, ON, "two gas steps per coupling interval", {"run.gas_step": 0.5 * run.coupling})
 
 
-def _output(scene: Any, _: str) -> Iterator[Part]:
+def _output(scene: Scene, _: str) -> Iterator[Part]:
     run = scene.run
-    if _coupled(scene):
+    if scene.coupled:
         every = SPARSER * run.frames_every
-        text, of, frames, key, how = "frames", "the run", run.end_time / every, "run.frames_every", f"{every:g} s"
+        text, of, frames, key, how = (
+            "frames",
+            "the run",
+            (run.until_time or 0.0) / every,
+            "run.frames_every",
+            f"{every:g} s",
+        )
     else:
         every = SPARSER * run.record_every
         text, of, frames, key = "contacts", "a contact", run.steps_per_contact / every, "run.record_every"

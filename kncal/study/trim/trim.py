@@ -8,7 +8,6 @@ from typing import Any
 
 from kncal.observe.row import Row
 from kncal.observe.verdict import Verdict
-from kncal.scene.bed_scene import BedScene
 from kncal.scene.scene import Scene
 from kncal.study.variants import Changes
 
@@ -146,7 +145,7 @@ class Trim:
     results: tuple[PartResult, ...]
     attempts: tuple[Attempt, ...]
     without: tuple[str, ...]
-    trimmed: Scene | BedScene
+    trimmed: Scene
     trimmed_model: str
     verdict: Verdict
 

@@ -26,8 +26,7 @@ from kncal.record import liggghts_dump, liggghts_log, openfoam
 from kncal.record.facts import BedFacts
 from kncal.record.series import read_series
 from kncal.runs.folder import read_manifest, read_result
-from kncal.scene.bed_case_file import parse_bed
-from kncal.scene.case_file import load_case, shipped_cases
+from kncal.scene.case_file import load_case, parse_case, shipped_cases
 from kncal.scene.case_text import find_case
 from kncal.scene.plan import plan
 from tests.promises.fuzz.conftest import fuzzed, in_time
@@ -95,7 +94,9 @@ def keep(path: Path, data: bytes) -> Path:
 
 
 CASES = st.sampled_from([find_case(name).read_bytes() for name in shipped_cases()]).flatmap(
-    lambda good: damaged(good, b"[walls]", b"[[particles]]", b"[column]", b"young", b"true", b'"rigid"', b"1979-05-27")
+    lambda good: damaged(
+        good, b"[walls]", b"[[particles]]", b"[walls.column]", b"[column]", b"young", b"true", b'"rigid"', b"1979-05-27"
+    )
 )
 
 
@@ -135,15 +136,7 @@ def test_numbers_of_cases_up_to_the_plan(name: str, changes: list[tuple[int, flo
             here = here[key]
         here[last] = value
 
-    def run() -> None:
-        if "column" in tables:
-            plan(parse_bed(text, name="fuzz", tables=tables))
-        else:
-            from kncal.scene.case_file import parse_case
-
-            plan(parse_case(text, name="fuzz", tables=tables))
-
-    only_ours(run)
+    only_ours(lambda: plan(parse_case(text, name="fuzz", tables=tables)))
 
 
 COLUMNS = b"ITEM: ATOMS id type x y z vx vy vz omegax omegay omegaz fx fy fz "

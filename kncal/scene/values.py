@@ -1,0 +1,88 @@
+"""What single values of a scene may be: checked numbers, names and lines of text, for the classes of a scene."""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated
+
+import numpy as np
+from pydantic import AfterValidator, ConfigDict, Field, Strict
+
+from kncal.core.checks import Range, positive
+
+#: Names reach folders, decks and reports.
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
+NAME_EXPECTED = "expected a name of 1 to 64 letters, digits, '.', '_' or '-', starting with a letter or digit"
+
+#: Of every class of a scene: unknown keys, NaN and infinity are refused, and nothing changes afterwards.
+FROZEN = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+def _name(text: str) -> str:
+    if not NAME.fullmatch(text):
+        raise ValueError(NAME_EXPECTED)
+    return text
+
+
+def _line(text: str) -> str:
+    if not text.isprintable() or len(text) > 300:
+        raise ValueError("expected one line of at most 300 printable characters")
+    return text
+
+
+def _option(value: float | str) -> float | str:
+    if isinstance(value, str):
+        return _name(value)
+    positive("value", value)
+    return value
+
+
+def within(low: float, high: float, unit: str = "", hint: str = "") -> AfterValidator:
+    """Return a validator for a number in [low, high]."""
+    return AfterValidator(Range(low, high, unit, hint))
+
+
+def above_zero(unit: str = "", hint: str = "", high: float = np.inf) -> AfterValidator:
+    """Return a validator for a number in (0, high]."""
+    return AfterValidator(Range(0.0, high, unit, hint, low_open=True))
+
+
+# Strict: text or a boolean is no number, and a number is no text.
+Number = Annotated[float, Strict()]
+Whole = Annotated[int, Strict()]
+Flag = Annotated[bool, Strict()]
+Word = Annotated[str, Strict()]
+Name = Annotated[Word, AfterValidator(_name)]
+Text = Annotated[Word, AfterValidator(_line)]
+Option = Annotated[Number | Word, AfterValidator(_option)]
+Restitution = Annotated[Number, within(1e-3, 1.0, hint="a contact with less hardly ever ends")]
+Friction = Annotated[Number, within(0.0, 10.0)]
+Speed = Annotated[Number, above_zero("m/s", high=1e4)]
+Stiffness = Annotated[Number, above_zero("N/m")]
+Seconds = Annotated[Number, above_zero("s")]
+Time = Annotated[Number, within(0.0, 1e6, "s")]
+Length = Annotated[Number, within(2e-9, 1e3, "m", "1 mm is 1e-3")]
+Coordinate = Annotated[Number, within(-1e4, 1e4, "m", "1 mm is 1e-3")]
+Share = Annotated[Number, above_zero(high=1.0)]
+Tolerance = Annotated[Number, above_zero()]
+GasSpeed = Annotated[Number, within(0.0, 1e3, "m/s")]
+#: From a gas at a thousandth of an atmosphere to mercury; from hydrogen, and a little below, to glycerine and pitch.
+GasDensity = Annotated[Number, within(1e-4, 2e4, "kg/m³", "air: 1.2")]
+GasViscosity = Annotated[Number, within(1e-7, 1e2, "Pa s", "air: 1.8e-5")]
+
+_Ms = Annotated[Number, within(-1e4, 1e4, "m/s")]
+_RadS = Annotated[Number, within(-1e8, 1e8, "rad/s")]
+_Ms2 = Annotated[Number, within(-1e5, 1e5, "m/s²")]
+Position = tuple[Coordinate, Coordinate, Coordinate]
+Velocity = tuple[_Ms, _Ms, _Ms]
+Spin = tuple[_RadS, _RadS, _RadS]
+Acceleration = tuple[_Ms2, _Ms2, _Ms2]
+Size = tuple[Length, Length, Length]
+
+#: More gas cells than this are no work for one core.
+MOST_CELLS_PER_AXIS, MOST_CELLS = 10_000, 1_000_000
+_Cells = Annotated[Whole, within(1, MOST_CELLS_PER_AXIS)]
+Cells = tuple[_Cells, _Cells, _Cells]
+RampPoint = tuple[Time, GasSpeed]
+MOST_RAMP = 1000
+Ramp = Annotated[tuple[RampPoint, ...], Field(max_length=MOST_RAMP)]
