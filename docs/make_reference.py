@@ -4,8 +4,8 @@
     python docs/make_reference.py --check    # say which are out of date (exit code 1)
 
 In a page, what stands between ``<!-- table: MODULE.NAME -->`` and ``<!-- end -->`` is made from that object: the keys
-of a table of the schema, the options of methods, or the metrics of runs that record these things. All
-else is written by hand.
+of a class of the scene, the options of methods, or the metrics of runs that record these things. All else is written by
+hand.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from kncal.physics.methods import METHODS, OPTIONS
 from kncal.scene.metrics import METRICS, offered
 from kncal.scene.scene import MaterialData
 
-PAGES = ("docs/case-file.md", "docs/bed-case-file.md")
+PAGES = ("docs/case-file.md",)
 MARKED = re.compile(r"(<!-- table: ([\w.]+) -->\n).*?(<!-- end -->)", re.S)
 
 
@@ -75,8 +75,6 @@ def ranges(annotation: Any, metadata: Iterable[Any] = ()) -> Iterator[str]:
         yield from ranges(next(a for a in get_args(annotation) if a is not NoneType))
     elif annotation is int:
         yield "integer"
-    elif annotation is bool:
-        yield "`true`, `false`"
     for check in _checks(metadata):
         if isinstance(check, Range):
             yield bounds(check.low, check.high, check.low_open)
@@ -97,24 +95,31 @@ def _checks(metadata: Iterable[Any]) -> Iterator[Any]:
 
 
 def default(field: FieldInfo) -> str:
-    """Return the default of a key, "–" for none."""
+    """Return what a key is if it is not given; nothing where its meaning says it."""
     if field.is_required():
         return "required"
     value = field.get_default(call_default_factory=True)
-    if is_dataclass(value):
-        return "its defaults"
-    return "–" if value is None or value is PydanticUndefined else code(value)
+    if value is None or value is PydanticUndefined or is_dataclass(value) or value in ("", (), {}):
+        return ""
+    return f"default {code(value)}"
 
 
 def keys(schema: Any) -> str:
     """Return the table of the keys of one table of a case file."""
     rows = []
     for key, field in schema.__pydantic_fields__.items():
-        if key == "name":  # a case has its folder's
-            continue
+        if key == "name":
+            continue  # of the folder
         checks = field.metadata if schema is not MaterialData else [RANGES[key]]
-        rows.append((f"`{key}`", field.description or "", default(field), ", ".join(ranges(field.annotation, checks))))
-    return table(("key", "meaning", "default", "range"), rows)
+        # What the meaning says already is not said again.
+        meaning = field.description or ""
+        found = [text for text in ranges(field.annotation, checks) if not _said(text.removeprefix("each "), meaning)]
+        rows.append((f"`{key}`", meaning, "; ".join(filter(None, (", ".join(found), default(field))))))
+    return table(("key", "meaning", "values"), rows)
+
+
+def _said(choices: str, meaning: str) -> bool:
+    return "`" in choices and all(choice in meaning for choice in choices.replace("`", "").split(", "))
 
 
 def options() -> str:
@@ -125,8 +130,9 @@ def options() -> str:
             allowed = OPTIONS[key]
             unit = f" [{allowed.unit}]" if isinstance(allowed, Range) and allowed.unit else ""
             words = bounds(allowed.low, allowed.high) if isinstance(allowed, Range) else ", ".join(map(code, allowed))
-            rows.append((f"`{method.name}`", f"`{key}`{unit}", "required" if given is None else code(given), words))
-    return table(("method", "option", "default", "range"), rows)
+            words += "; required" if given is None else f"; default {code(given)}"
+            rows.append((f"`{method.name}`", f"`{key}`{unit}", words))
+    return table(("method", "option", "values"), rows)
 
 
 def metrics(recorded: Iterable[str]) -> str:

@@ -3,34 +3,34 @@
 from __future__ import annotations
 
 import importlib.util
+import pkgutil
 import re
 import shlex
 import tomllib
 from contextlib import redirect_stdout
+from dataclasses import fields
 from inspect import signature
 from io import StringIO
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
-from kncal.scene.bed_case_checks import problems as bed_problems
 
 import kncal
 from kncal import cli
 from kncal.physics.laws import LAWS
 from kncal.physics.methods import METHODS
-from kncal.scene import bed_schema, case_schema
-from kncal.scene.case_checks import problems
 from kncal.scene.case_file import parse_case, shipped_cases
 from kncal.scene.limits import check
 from kncal.scene.needs import OVERRULABLE
 from kncal.scene.plan import plan
+from kncal.scene.scene import Scene
+from kncal.scene.walls import WALLS
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/**/*.md"), *ROOT.glob("cases/*/README.md")])
 WORKFLOW = ROOT / "docs/ci/github-actions.yml"
 CASE_FILE, THEORY = ROOT / "docs/case-file.md", ROOT / "docs/theory.md"
-BED_FILE = ROOT / "docs/bed-case-file.md"
 
 _BLOCK = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```$", re.S | re.M)
 #: code, and what it prints if that stands right below
@@ -105,44 +105,28 @@ def test_python_blocks_run_and_print_what_is_shown(page: Path, tmp_path: Path, m
 
 
 def _complete(page: Path) -> list[str]:
-    return [text for kind, text in _blocks(page) if kind == "toml" and "[[particles]]" in text]
-
-
-def _complete_beds(page: Path) -> list[str]:
-    return [text for kind, text in _blocks(page) if kind == "toml" and "[column]" in text]
+    return [text for kind, text in _blocks(page) if kind == "toml" and "[particles." in text]
 
 
 @pytest.mark.parametrize("page", _with("toml"), ids=_name)
 def test_case_examples_load(page: Path) -> None:
-    """Whole cases load and can be planned; a few lines of one fit into the page's whole case, or the reference's."""
+    """Whole cases load and can be planned; a few lines of one fit into the reference's case of a few bodies."""
     for text in _complete(page):
-        models = plan(parse_case(text, name="example"))
-        assert all(model.n_steps > 0 for model in models.values())
-    beds = _complete_beds(page)
-    for text in beds:
-        for model in plan(parse_case(text, name="example")).values():
-            assert model.couplings > 0
-            assert not [finding for finding in check(model) if finding.level == "refuse"]
-    base = tomllib.loads((beds or _complete(page) or _complete(CASE_FILE))[0])
+        for made in plan(parse_case(text, name="example")).values():
+            assert made.n_steps > 0
+            assert not [finding for finding in check(made) if finding.level == "refuse"]
+    base = tomllib.loads(_complete(CASE_FILE)[0])
     for kind, text in _blocks(page):
-        if kind == "toml" and text not in (*beds, *_complete(page)):
-            if beds:
-                assert bed_problems(bed_schema.BedTable.model_validate(base | tomllib.loads(text))) == []
-            else:
-                assert problems(case_schema.CaseTable.model_validate(base | tomllib.loads(text))) == []
+        if kind == "toml" and text not in _complete(page):
+            parse_case(text, name="example", tables=base | tomllib.loads(text))
 
 
-def test_there_is_a_complete_example() -> None:
-    """It uses every table that a case file may have."""
-    (text,) = _complete(CASE_FILE)
-    example = tomllib.loads(text)
-    assert set(example) == set(case_schema.CaseTable.model_fields)
-    assert example["contact"]["pairs"]
-    (text,) = _complete_beds(BED_FILE)
-    example = tomllib.loads(text)
-    assert set(example) == set(bed_schema.BedTable.model_fields)
-    assert example["contact"]["pairs"]
-    assert example["gas"]["jet"]
+def test_there_are_complete_examples() -> None:
+    """A case of a few bodies and one of a bed; together they use every table that a case file may have, but a layer."""
+    single, bed = (tomllib.loads(text) for text in _complete(CASE_FILE))
+    assert set(single) | set(bed) == {field.name for field in fields(Scene)} - {"name", "layer"}
+    assert single["contact"]["pairs"]
+    assert bed["gas"]["jet"]
 
 
 @pytest.mark.parametrize("page", [page for page in [*PAGES, WORKFLOW] if _commands(page)], ids=_name)
@@ -185,6 +169,19 @@ def test_links_lead_somewhere(page: Path) -> None:
         assert not anchor or anchor in _anchors(file), target
 
 
+_ENTRY_POINTS = {"kncal.laws", "kncal.methods", "kncal.drags", "kncal.metrics"}
+_DOTTED = re.compile(r"\bkncal(?:\.[A-Za-z_]\w*)+")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=_name)
+def test_files_and_names_of_the_code_are_there(page: Path) -> None:
+    text = page.read_text("utf-8")
+    for path in re.findall(r"\b(?:kncal|tests|docs|cases)/[\w/]+\.(?:py|md|toml)\b", text):
+        assert (ROOT / path).exists() or (page.parent / path).exists(), path
+    for dotted in set(_DOTTED.findall(text)) - _ENTRY_POINTS:
+        assert pkgutil.resolve_name(dotted) is not None, dotted
+
+
 # --- completeness -------------------------------------------------------------------------------------------
 
 
@@ -196,23 +193,28 @@ def _generator() -> Any:
     return module
 
 
-@pytest.mark.parametrize("page", [CASE_FILE, BED_FILE], ids=_name)
-def test_tables_of_the_reference_are_as_the_schema_is_now(page: Path, tmp_path: Path) -> None:
+def test_tables_of_the_reference_are_as_the_schema_is_now(tmp_path: Path) -> None:
     """Made anew from empty tables the page is the same; else run python docs/make_reference.py."""
-    emptied = tmp_path / page.name
-    text = page.read_text("utf-8")
+    emptied = tmp_path / CASE_FILE.name
+    text = CASE_FILE.read_text("utf-8")
     emptied.write_text(re.sub(r"(<!-- table: .*? -->\n).*?(<!-- end -->)", r"\1\2", text, flags=re.S))
     assert emptied.read_text("utf-8") != text
     assert _generator().make(emptied) == text
 
 
+def _tables(made: Any) -> set[Any]:
+    """A class of a scene, and those of its fields."""
+    keys = getattr(made, "__pydantic_fields__", None)
+    if keys is None:
+        return {table for part in get_args(made) for table in _tables(part)}
+    return {made}.union(*(_tables(key.annotation) for key in keys.values()))
+
+
 def test_every_table_of_the_schema_and_every_registry_stands_in_the_reference() -> None:
-    roots = (case_schema.CaseTable, bed_schema.BedTable)
-    tables = {part for root in roots for part in (root, *root.parts.values())} | {case_schema.MaterialTable}
+    tables = _tables(Scene) | {kind.table for kind in WALLS.values()}
     wanted = {f"{table.__module__}.{table.__name__}" for table in tables}
     wanted |= {"kncal.physics.methods.METHODS", "kncal.scene.metrics.FEW_PARTICLES", "kncal.scene.metrics.COUPLED"}
-    shown = "".join(page.read_text("utf-8") for page in (CASE_FILE, BED_FILE))
-    assert set(re.findall(r"<!-- table: (.*?) -->", shown)) == wanted
+    assert set(re.findall(r"<!-- table: (.*?) -->", CASE_FILE.read_text("utf-8"))) == wanted
     assert {row[0].strip("`") for row in _rows(_section(CASE_FILE, "`[needs]`"))} == set(OVERRULABLE)
 
 
