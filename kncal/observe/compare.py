@@ -94,8 +94,11 @@ class Comparison:
         return needed_end(self.rows)
 
     @property
-    def limits(self) -> tuple[tuple[str, str], ...]:
-        """What limits the contacts that happened: (warning code, sentence with its pairs), each once."""
+    def limits(self) -> tuple[str, ...]:
+        """What limits the contacts that happened: sentences with their pairs, each once.
+
+        Attraction, which nearly every damped contact has at its end, is none of them.
+        """
         return _limits(self.runs)
 
     def row(self, metric: str) -> Row:
@@ -232,19 +235,17 @@ def _exact_rows(data: RunData) -> list[Row]:
     return rows
 
 
-def _limits(runs: tuple[RunData, ...]) -> tuple[tuple[str, str], ...]:
+def _limits(runs: tuple[RunData, ...]) -> tuple[str, ...]:
     few = [run for run in runs if run.contacts is not None]
     met = {event.pair for data in few for event in data.observations.contacts}
-    pairs: dict[tuple[str, str], list[str]] = {}
+    pairs: dict[str, dict[str, None]] = {}
     for data in few:
         for pair in sorted(met):
-            for warning in data.model.between(*pair).warnings.items():
-                names = pairs.setdefault(warning, [])
-                names.extend({"–".join(pair)} - set(names))
-    texts = [(code, f"{listed(names)}: {text}") for (code, text), names in pairs.items()]
-    if few and not met:
-        texts.append(("no-contact", no_contact(*(data.model for data in few))))
-    return tuple(texts)
+            for code, text in data.model.between(*pair).warnings.items():
+                if code != "attraction":
+                    pairs.setdefault(text, {})["–".join(pair)] = None
+    texts = [f"{listed(list(names))}: {text}" for text, names in pairs.items()]
+    return (*texts, *([no_contact(*(data.model for data in few))] if few and not met else []))
 
 
 def _window(run: RunData) -> dict[str, Any]:

@@ -72,12 +72,12 @@ def verdict(
     known: Sequence[Row],
     invariants: Sequence[Invariant],
     speed: Speed,
-    limits: Sequence[tuple[str, str]] = (),
+    limits: Sequence[str] = (),
 ) -> Verdict:
     """Return the verdict on a run and its reference, ``runs``.
 
-    A known answer that is missed comes first; that the models agree is a point then. ``limits`` are (warning code,
-    sentence); attraction, which nearly every damped contact has, is left to the tables.
+    A known answer that is missed comes first; that the models agree is a point then. ``limits`` of the contacts are
+    warnings.
     """
     models = (runs[0].model, runs[1].model)
     seen = [run.seen for run in runs if run.signals is not None]
@@ -86,7 +86,7 @@ def verdict(
     sentence, *severe = [*missed, alike]
     severe += [
         *_broken(invariants),
-        *(f"Warning: {text}." for code, text in limits if code != "attraction"),
+        *(f"Warning: {text}." for text in limits),
         *_odd(exact),
     ]
     collide = not seen or (bool(models[0].contacts) and seen[0].kind not in ("frozen", "gas"))

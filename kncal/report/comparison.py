@@ -89,7 +89,7 @@ def write_report(
         album = Album(drawn)
         draw_comparison(comparison, album)
         draw_calibration(context.kn_curves, accuracy, album)
-        told = tuple(dict.fromkeys((*warnings, *(text for code, text in comparison.limits if code != "attraction"))))
+        told = tuple(dict.fromkeys((*warnings, *comparison.limits)))
         sections = _sections(comparison, context, accuracy, told, album)
     write_json(
         folder / "comparison.json", {**comparison.to_dict(), "warnings": list(told), "provenance": dict(provenance)}
