@@ -129,7 +129,7 @@ def _old(tables: Mapping[str, Any]) -> Iterator[str]:
             'gas.cells and gas.walls, and periodic = ["y"] or layer = "y" in place of front_back'
         )
     if isinstance(run := tables.get("run"), Mapping) and "end_time" in run:
-        yield "run.until_time in place of run.until_time"
+        yield "run.until_time in place of run.end_time"
     if isinstance(gravity := tables.get("gravity"), (int, float)) and gravity > 0.0 and gravity is not True:
         yield f"gravity = [0.0, 0.0, {-float(gravity)}] in place of {gravity}"
 

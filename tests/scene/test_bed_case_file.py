@@ -162,7 +162,7 @@ OLD = [
     ("[particles.beads]", "[particles]", "[particles.beads]"),
     ("[particles.beads]", "[[particles]]", "[particles.NAME]"),
     ("[walls.column]", "[[walls]]", "[walls.NAME]"),
-    ("until_time = 0.5", "end_time = 0.5", "run.until_time"),
+    ("until_time = 0.5", "end_time = 0.5", "run.until_time in place of run.end_time"),
     ("gravity = [0.0, 0.0, -9.8]", "gravity = 9.8", "gravity = [0.0, 0.0, -9.8]"),
 ]
 
