@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
-from typing import TypeVar
 
 from kncal.observe.difference import PATHS, metric_names, path_difference, value_row
 from kncal.observe.estimate import Estimate, apart
@@ -22,9 +21,8 @@ NAMES = ("candidate", "reference")
 #: force that jumps at touch (a damped contact) of first.
 ORDERS = (1.0, 2.0)
 
-T = TypeVar("T")
 #: Two runs that differ in one thing; None: not known.
-Step = tuple[T | None, T | None]
+Step = tuple[RunData | None, RunData | None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,34 +140,32 @@ def split_errors(
     unsoftened : the same model unsoftened, converged; None: not known (of Hertz, give the reference's run)
     worst : "linear" and "hertz" -> metric -> predicted worst relative discretisation error of converged runs [-]
     """
-    splits = []
-    steps: dict[str, Step[RunData]] = {"discretisation": (run, converged), "softness": (converged, unsoftened)}
+    steps: dict[str, Step] = {"discretisation": (run, converged), "softness": (converged, unsoftened)}
     if run.model.kind != "hertz":
         steps["model"] = (unsoftened, reference.run)
-    for name, total in reference.differences(run, more).items():
-        whole = total.difference.value
-        if whole is None or total.scale is None:
-            continue
-        scale, left = total.scale, reference.left.get(name, 0.0)
 
-        def bound(data: RunData, name: str = name, scale: float = scale, left: float = left) -> float:
-            value, share = data.observations.metrics.get(name), worst.get(data.model.kind, {}).get(name)
-            own = data is reference.run or value is None or share is None
-            return left if own else float(share or 0.0) * abs(value or 0.0) / scale
+    def bound(row: Row, data: RunData) -> float:
+        """What the step of a converged run leaves of a difference [-]."""
+        value, share = data.observations.metrics.get(row.metric), worst.get(data.model.kind, {}).get(row.metric)
+        if data is reference.run or value is None or share is None:
+            return reference.left.get(row.metric, 0.0)
+        return share * abs(value) / (row.scale or 1.0)
 
-        def between(
-            a: RunData, b: RunData, name: str = name, scale: float = scale, bound: Callable[[RunData], float] = bound
-        ) -> Estimate | None:
-            value = reference.step(name, scale, a, b)
-            width = sum(bound(data) for data in (a, b) if data is not run)
-            return None if value is None else Estimate(value=value, width=0.0 if a is b else width)
+    def between(row: Row, a: RunData, b: RunData) -> Estimate | None:
+        value = reference.step(row.metric, row.scale or 1.0, a, b)
+        width = 0.0 if a is b else sum(bound(row, data) for data in (a, b) if data is not run)
+        return None if value is None else Estimate(value=value, width=width)
 
-        splits.append(split(name, Estimate(value=whole, width=left), steps, between))
-    return tuple(splits)
+    rows = [r for r in reference.differences(run, more).values() if r.difference.value is not None and r.scale]
+    left = [reference.left.get(row.metric, 0.0) for row in rows]
+    return tuple(
+        split(row.metric, replace(row.difference, width=width), steps, partial(between, row))
+        for row, width in zip(rows, left, strict=True)
+    )
 
 
 def split(
-    metric: str, total: Estimate, steps: Mapping[str, Step[T]], between: Callable[[T, T], Estimate | None]
+    metric: str, total: Estimate, steps: Mapping[str, Step], between: Callable[[RunData, RunData], Estimate | None]
 ) -> ErrorSplit:
     """Split the error of one metric by what was changed one at a time.
 
@@ -267,7 +263,7 @@ def average_splits(
         hard = reference if c.model == "hertz" else unsoftened
         real = c.model == "hertz" and c.factor == 1.0
         fine = reference if real else at.get((c.model, c.how, c.factor, steps))
-        chain: dict[str, Step[RunData]] = {}
+        chain: dict[str, Step] = {}
         if c.steps_per_contact != steps:
             chain["discretisation"] = (run, fine)
         if c.factor != 1.0:

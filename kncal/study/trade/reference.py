@@ -59,7 +59,7 @@ class Ends:
         if self.until is None:
             return ()
         return (
-            f"All runs end at {self.pinned:.4g} s, when the softest contact is over, so that their costs compare; paths"
+            f"All runs end at {self.pinned:.4g} s, when the softest contact is over, so that their costs compare. Paths"
             f" are compared up to {self.until:.4g} s, where the case itself ends.",
         )
 
@@ -73,25 +73,16 @@ class Found:
     convergence: Convergence
 
     @property
-    def sentences(self) -> tuple[str, ...]:
+    def sentence(self) -> str:
         """How far it converged."""
-        c = self.convergence
-        judged = {name: left for name, left in c.left.items()}
-        worst = max(judged, key=lambda name: judged[name], default=None)
-        left = (
-            ""
-            if worst is None
-            else f"; what is left of its own error is at most {100.0 * judged[worst]:.2g} % ({worst})"
-        )
+        c, within = self.convergence, f"{100.0 * self.convergence.threshold:.2g} %"
+        worst = max(c.left, key=lambda name: c.left[name], default=None)
+        left = "" if worst is None else f" Its own error is at most {100.0 * c.left[worst]:.2g} % ({worst})."
         if c.converged:
-            return (
-                f"The reference converged at N = {c.chosen:g} (no judged metric moved by more than "
-                f"{100.0 * c.threshold:.2g} % from half that N){left}.",
-            )
-        return (
-            f"The reference has not converged to {100.0 * c.threshold:.2g} % at N = {c.chosen:g}, the finest that "
-            f"was tried{left}.",
-        )
+            how = f"converged at N = {c.chosen:g}: no judged metric moved by more than {within} from half that N."
+        else:
+            how = f"has not converged to {within} at N = {c.chosen:g}, the finest that was tried."
+        return f"The reference {how}{left}"
 
 
 def ends_of(case: str | Path, scene: Scene, reference: Contact, tried: Sequence[Contact]) -> Ends:

@@ -175,7 +175,7 @@ class Resolved(Trials):
 
     def caveats(self, reference: TradePoint, points: Sequence[TradePoint], load: float) -> Sequence[str]:
         """See `Trials.caveats`."""
-        told = [*self.ends.sentences, *self.found.sentences, *self._of_times(reference, points, load)]
+        told = [*self.ends.sentences, self.found.sentence, *self._of_times(reference, points, load)]
         off = None if self.solved is self.runs else self._agreement()
         if off is not None:
             far = "" if off <= self.found.convergence.threshold else ", too much to judge by: please report it"

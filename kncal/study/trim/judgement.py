@@ -74,10 +74,8 @@ def describe(effects: Sequence[Row]) -> tuple[str, str]:
     outside, undecided = ([row for row in effects if row.verdict == word] for word in ("outside", "undecided"))
     aside = [row for row in effects if row.verdict == "-" and row.difference.significant]
     gone = [r.metric for r in effects if r.verdict == "-" and r.reference.value is not None and r.run.value is None]
-    told = ([f"without tolerance: {_listed(aside)}"] if aside else []) + (
-        [f"no longer there: {', '.join(gone)}"] if gone else []
-    )
-    also = f" ({'; '.join(told)})" if told else ""
+    also = f"; without tolerance: {_listed(aside)}" if aside else ""
+    also += f"; no longer there: {', '.join(gone)}" if gone else ""
     if outside:
         return "changed", _listed(outside) + also
     if undecided:
@@ -89,7 +87,7 @@ def describe(effects: Sequence[Row]) -> tuple[str, str]:
     if not judged:
         return UNDECIDED, "no metric could be judged" + also
     worst = worst_of(judged)
-    closest = "" if worst is None or not worst.difference.value else f" (closest: {effect_text(worst)})"
+    closest = "" if worst is None or not worst.difference.value else f"; closest: {effect_text(worst)}"
     limit = "tolerance" if any(row.difference.significant for row in judged) else "uncertainty"
     return "free", f"no judged metric changes by more than its {limit}{closest}{also}"
 
@@ -105,9 +103,8 @@ def effect_text(row: Row) -> str:
     if row.difference.value is None:
         gone = "is gone" if row.run.value is None and row.reference.value is not None else "cannot be compared"
         return f"{row.metric} {gone}" + (f" ({row.reason})" if row.reason else "")
-    return f"{row.metric} {change_text(row)}" + (
-        "" if row.tolerance is None else f" ({allowed(row.tolerance)} allowed)"
-    )
+    limit = "" if row.tolerance is None else f" ({allowed(row.tolerance)} allowed)"
+    return f"{row.metric} {change_text(row)}{limit}"
 
 
 def change_text(row: Row) -> str:

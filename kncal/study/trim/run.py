@@ -2,7 +2,7 @@
 
 OUT/<case>.toml      the full scene as it was run (with the values of --set)
 OUT/speed/           the rounds that measure the impact speed, where the case asks for it
-OUT/runs/            the runs, as rounds of sweeps (see `kncal.study`); the same command again goes on
+OUT/runs/            the runs, as rounds of sweeps (see `kncal.study`); the same command again continues
 OUT/trim.json, trim.csv, report/index.html, case.toml
 """
 
@@ -259,18 +259,18 @@ def _attempt(study: _Study, going: Sequence[PartResult], number: int) -> Attempt
     run = study.runs[name]
     if not run.completed:
         back = (max(going, key=_suspicion(())).part.name,)
-        sentence = f"Without {listed} at once the scene ended as {run.status!r}: {run.message}: {back[0]} goes back."
+        sentence = f"Without {listed} at once the scene ended as {run.status!r}: {run.message}. {back[0]} goes back."
         return Attempt(without=without, verdict=CANNOT_RUN, sentence=sentence, put_back=back)
     rows = study.effects(name, parts)
     cost = cost_change(None, run, study.runs[FULL], study.options.engine)
     outcome, found = describe(rows)
-    price = f"Without {listed} at once (to have it costs {cost_text(cost)})"
+    price = f"Without {listed} at once (cost: {cost_text(cost)})"
     if outcome == "free":
         return Attempt(without=without, verdict="holds", sentence=f"{price}: {found}.", cost=cost, effects=rows)
     bad = tuple(row.metric for row in rows if row.verdict == {"changed": "outside"}.get(outcome, outcome))
     alone = "which no part does alone" if len(parts) > 1 else "as by itself"
     back = (max(going, key=_suspicion(bad)).part.name,)
-    sentence = f"{price}: {found}, {alone}: {back[0]} goes back."
+    sentence = f"{price}: {found}, {alone}. {back[0]} goes back."
     return Attempt(
         without=without,
         verdict=outcome,
@@ -323,7 +323,7 @@ def _verdict(
     if last is None:
         texts = [f"{name}: nothing was found that the scene can surely do without."]
     else:
-        price = "" if last.cost is None else f" (to have it costs {cost_text(last.cost)})"
+        price = "" if last.cost is None else f" (cost: {cost_text(last.cost)})"
         texts = [f"{name} can do without {', '.join(part.text for part in without)}{price}."]
         texts.append(f"All at once: {describe(last.effects)[1]}.")
     for verdict, how in ((MATTERS, "It matters, and the case does not have it"), (UNDECIDED, "Undecided")):
