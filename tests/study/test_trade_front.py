@@ -102,7 +102,7 @@ def test_points_are_ordered_by_what_cost_means_for_the_scene():
 
 
 def sign(changed, name="overlap_share"):
-    return Sign(name=name, value=1.0, unit="–", limit=0.5, source="made", changed=changed, text=f"{name} is 1.")
+    return Sign(name=name, value=1.0, limit=0.5, source="made", changed=changed, text=f"{name} is 1.")
 
 
 def test_softness_turns_between_two_factors():
