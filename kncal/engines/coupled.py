@@ -81,7 +81,7 @@ def check_bed_ranks(scene: Scene, ranks: int) -> None:
     """
     if ranks == 1:
         return
-    if scene.gas is None:
+    if not scene.drag:
         raise InputError(f"ranks = {ranks}: only the gas of a bed is shared among ranks, and {scene.name} has none")
     if _moves(scene):
         raise InputError(
@@ -89,7 +89,7 @@ def check_bed_ranks(scene: Scene, ranks: int) -> None:
             "exchange everything through one process after every interval. Expected 1; several cases side by side "
             "(kncal sweep) use all cores"
         )
-    check_divisions(scene.gas.cells, ranks)
+    check_divisions(scene.cells, ranks)
 
 
 def _moves(scene: Scene) -> bool:
@@ -228,7 +228,7 @@ class Coupled(Engine):
 
         With ``resume`` the run goes on from its last complete checkpoint (from the start if there is none).
         """
-        transport = {"transport": self.transport if plan.scene.gas else "none"}
+        transport = {"transport": self.transport if plan.scene.drag else "none"}
 
         def work() -> Mapping[str, Any]:
             checkpoint = last_checkpoint(folder, plan.couplings) if resume else None
@@ -312,7 +312,7 @@ def _write_scripts(plan: Plan, folder: Path) -> None:
         "particles": _moves(scene),
         "gas": setup is not None,
         "jet": setup is not None and setup.jet is not None,
-        "ramp": scene.gas is not None and bool(scene.gas.ramp),
+        "ramp": bool(scene.gas and scene.gas.ramp),
         "deck": DECK,
         "data": DATA,
         "dt": plan.dt,

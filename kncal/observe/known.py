@@ -20,7 +20,7 @@ def known_answers(run: RunData) -> tuple[Row, ...]:
 
     The source of each is its ``basis``.
     """
-    if run.signals is None or run.model.scene.gas is None or run.model.scene.gas.drag != _LAW:
+    if run.signals is None or run.model.scene.drag != _LAW:
         return ()
     seen = run.seen
     found: list[tuple[str, float, float, float, str]] = []

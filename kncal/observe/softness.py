@@ -144,7 +144,7 @@ def _bed_sound(model: Plan, reference: Plan | None = None) -> Sign:
     scene = model.scene
     contact, d = _shortest(model.contacts), scene.group.diameter
     mass = float(sphere_mass(scene.spheres[0].material, d / 2.0))
-    fastest = {"v_0": contact.v_0 or 0.0, "U_0": 0.0 if scene.gas is None else scene.gas.inlet_at(0.0)}
+    fastest = {"v_0": contact.v_0 or 0.0, "U_0": scene.inlet_at(0.0)}
     name = max(fastest, key=fastest.__getitem__)
     other = None if reference is None else _shortest(reference.contacts)
     return _sound(fastest[name], name, contact, d, mass, other)

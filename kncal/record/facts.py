@@ -73,7 +73,7 @@ def bed_facts(model: Plan, histogram_edges: Array, impact_edges: Array) -> BedFa
         name=scene.name,
         kind=model.kind,
         size=scene.box.size,
-        cells=scene.gas.cells if scene.gas else (1, 1, 1),
+        cells=scene.cells,
         front_back=scene.front_back,
         count=scene.group.number,
         diameter=scene.group.diameter,

@@ -89,7 +89,7 @@ def _contact(model: Plan, pair: tuple[str, str]) -> str:
 def conventions(linear: Plan, hertz: Plan, shown: Set[str]) -> tuple[str, ...]:
     """Return what the numbers mean; of the metrics only those in ``shown``."""
     scene = hertz.scene
-    texts = [_MODEL_B] if getattr(scene, "gas", None) is not None else []
+    texts = [_MODEL_B] if scene.drag else []
     if hertz.contacts:
         ratios = {pair: c.k_t / c.k for pair, c in linear.named.items() if c.friction > 0.0}
         listed = ", ".join(f"{ratio:.3g} ({'–'.join(pair)})" for pair, ratio in ratios.items())

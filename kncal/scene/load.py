@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from kncal.core.checks import Array
+from kncal.physics.fluidization import minimum_fluidization_velocity
 from kncal.physics.material import sphere_mass
 from kncal.scene.model import Plan
 from kncal.scene.scene import Scene
@@ -14,6 +15,8 @@ from kncal.scene.species import SpeciesPair
 
 #: Void fraction of a settled packing of equal spheres, where no positions are given to measure it.
 EPS_SETTLED = 0.40
+#: And of a bed as loose as U_mf is stated at.
+EPS_MF = 0.45
 
 
 def layers(scene: Scene) -> float:
@@ -69,3 +72,12 @@ def settled_voidage(scene: Scene, positions: Array) -> float:
     box, d = scene.box, scene.group.diameter
     solids = inside * math.pi / 6.0 * d**3 / ((high - low) * box.width * box.depth)
     return float(np.clip(1.0 - solids, 0.2, 0.95))
+
+
+def fluidised(scene: Scene) -> bool:
+    """Return whether steady gas moves the bed: faster than U_mf (Ergun) of the bed as loose as U_mf is stated at."""
+    gas, p = scene.gas, scene.group
+    if gas is None or gas.ramp or p.frozen or scene.g == 0.0:
+        return False
+    U_mf = minimum_fluidization_velocity(p.diameter, scene.density, gas.density, gas.viscosity, EPS_MF, scene.g)
+    return gas.jet is not None or float(U_mf) < gas.U_0

@@ -267,7 +267,7 @@ def _coupled(scene: Scene, kind: str, needs: Needs) -> Plan:
 
 def _check_series(scene: Scene, couplings: int, frames: int) -> None:
     """Refuse records that would fill disk and memory: single precision, six numbers a particle, five a gas cell."""
-    size = 24 * scene.group.number + (20 * math.prod(scene.gas.cells) if scene.gas is not None else 0)
+    size = 24 * scene.group.number + (20 * math.prod(scene.cells) if scene.drag else 0)
     if frames * size + couplings * COUPLING_BYTES > MOST_SERIES_BYTES:
         raise CaseFileError(
             f"{scene.name}: {frames} frames of {size / 1e6:.3g} MB and {couplings} couplings of "

@@ -391,6 +391,20 @@ class Scene:
         return _only(self.name, "box", [wall for wall in self.walls.values() if isinstance(wall, BoxWall)])
 
     @property
+    def cells(self) -> Cells:
+        """Gas cells of the box in x, y and z; one without gas."""
+        return (1, 1, 1) if self.gas is None else self.gas.cells
+
+    @property
+    def drag(self) -> str:
+        """Drag law; "" without gas."""
+        return "" if self.gas is None else self.gas.drag
+
+    def inlet_at(self, time: float) -> float:
+        """Return the superficial gas velocity through the floor at ``time`` [s], see `Gas.inlet_at`; 0 without gas."""
+        return 0.0 if self.gas is None else self.gas.inlet_at(time)
+
+    @property
     def density(self) -> float:
         """Density of the particles of a coupled scene [kg/m³]."""
         return self.materials[self.group.material].density

@@ -17,13 +17,13 @@ from kncal.observe.run_data import observed
 from kncal.record.steps import REACTION_LIMIT
 from kncal.runs.workflow import load
 from kncal.scene.case_file import dump_case, load_case
-from kncal.scene.load import bottom_overlaps
+from kncal.scene.load import bottom_overlaps, fluidised
 from kncal.scene.scene import Scene
 from kncal.study import Variant, VariantRun
 from kncal.study.trade import averaged
 from kncal.study.trade import run as loop
 from kncal.study.trade import runs as bed_runs
-from kncal.study.trade.candidates import START_OVERLAP, STIFF, contacts, fluidised, settling_spring, shared_case
+from kncal.study.trade.candidates import START_OVERLAP, STIFF, contacts, settling_spring, shared_case
 from kncal.study.trade.errors import NAMES, average_splits
 from kncal.study.trade.reference import reference_steps
 from kncal.study.trade.run import trade_scene

@@ -76,7 +76,7 @@ def study_stability(
     say("maps of outcomes")
     cells = outcome_maps(given, KINDS, runner, quick=quick, restitutions=varied)
     coupling = []
-    if case.coupled and case.gas is not None and engine == "liggghts":
+    if case.coupled and engine == "liggghts":
         coupling = bed_edges(case, folder / BEDS, transport=transport, quick=quick, tell=say)
     return Stability(
         given=given,

@@ -9,11 +9,10 @@ from typing import Any
 
 from kncal.core.errors import CaseFileError, InputError, KncalError
 from kncal.core.files import write_text
-from kncal.physics.fluidization import minimum_fluidization_velocity
 from kncal.physics.methods import METHODS
 from kncal.scene.case_file import CASE, dump_case, load_case
 from kncal.scene.case_text import parse_toml, read_case, toml_key
-from kncal.scene.load import bottom_overlaps
+from kncal.scene.load import bottom_overlaps, fluidised
 from kncal.scene.model import Plan
 from kncal.scene.overrides import overridden, parse_override
 from kncal.scene.plan import pair_choice, plan
@@ -25,7 +24,6 @@ from kncal.study.variants import Changes, Variant, changes_of, removing, texts
 #: much of the diameter, where the case's own is more than `STIFF` times as stiff: to settle a real modulus would take
 #: longer than many runs, and a packing hardly depends on it.
 START_OVERLAP, STIFF = 1e-3, 3.0
-_EPS_MF = 0.45
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,15 +199,6 @@ def shared_case(scene: Scene, folder: Path) -> tuple[Path, tuple[str, ...]]:
     path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, dump_case(scene))
     return path, notes
-
-
-def fluidised(scene: Scene) -> bool:
-    """Return whether steady gas moves the bed: faster than U_mf (Ergun) of the bed as loose as U_mf is stated at."""
-    gas, p = scene.gas, scene.group
-    if gas is None or gas.ramp or p.frozen or scene.g == 0.0:
-        return False
-    U_mf = minimum_fluidization_velocity(p.diameter, scene.density, gas.density, gas.viscosity, _EPS_MF, scene.g)
-    return gas.jet is not None or float(U_mf) < gas.U_0
 
 
 def settling_spring(scene: Scene) -> float:
