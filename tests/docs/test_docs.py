@@ -26,6 +26,7 @@ from kncal.scene.needs import OVERRULABLE
 from kncal.scene.plan import plan
 from kncal.scene.scene import Scene
 from kncal.scene.walls import WALLS
+from kncal.study.trim.parts import PARTS
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/**/*.md"), *ROOT.glob("cases/*/README.md")])
@@ -254,3 +255,8 @@ def test_exit_codes_and_errors_stand_in_their_pages() -> None:
     errors = {name for name in kncal.__all__ if name.endswith("Error")} - {"KncalError"}
     rows = _rows(_section(ROOT / "docs/how-to/use-the-python-api.md", "Errors"))
     assert set(re.findall(r"`(\w+Error)`", " ".join(row[0] for row in rows))) == errors
+
+
+def test_every_part_that_trim_tries_stands_in_its_page() -> None:
+    shown = {row[0].strip("`") for row in _rows(_section(ROOT / "docs/how-to/trim-a-scene.md", "Trim a scene"))}
+    assert shown == set(PARTS)
