@@ -22,6 +22,7 @@ from typing import Any
 
 from kncal.core.units import quantity
 from kncal.observe.estimate import DOUBT
+from kncal.study.trade.answer import MOST_POINTS
 
 HERE = Path(__file__).resolve().parent
 RUNS = Path("runs/studies")
@@ -111,7 +112,7 @@ def contact(candidate: dict[str, Any]) -> str:
     if candidate["variant"]["model"] == "hertz":
         return "Hertz" if factor == 1.0 else f"Hertz, E / {_fold(factor)}"
     if how == "limited_overlap":
-        return "linear, overlap " + candidate["name"].split("-")[2].replace("pct", " % of d")
+        return f"linear, overlap {candidate['name'].split('-')[2].replace('pct', ' % of d')}"
     return f"linear, k_n / {_fold(factor)}" if how == "softened" else f"linear, {how}"
 
 
@@ -236,12 +237,11 @@ def figures(page: Path, folder: str, names: Sequence[str]) -> None:
 
 
 def answer(trade: dict[str, Any]) -> str:
-    """Return the sentences of a trade as a list, without those that the tables, or the page, say."""
-    return "\n".join(f"- {sentence}" for sentence in trade["verdict"] if not sentence.startswith(SAID))
-
-
-#: How sentences begin that a page has no need of: the tables say it, or the page does once.
-SAID = ("Cheapest contact", "Against ", "In no range", "Most runs", "All runs", "Load of")
+    """Return the points of a trade that its tables do not show, and the law of cost of its first contacts."""
+    laws = [sentence for law in trade["laws"] for sentence in law["sentences"]]
+    points = itertools.takewhile(lambda sentence: sentence not in laws, trade["verdict"][1 : 1 + MOST_POINTS])
+    said = [sentence for sentence in points if not sentence.startswith("Speed-up")]
+    return "\n".join(f"- {sentence}" for sentence in (*said, *laws[:2]))
 
 
 #: What the motion is, and what the contact is.
@@ -269,8 +269,8 @@ def wall_impact(page: Path) -> None:
         e_n, v_0 = values["contact.e_n"], values[VELOCITY].strip("[]").split(",")[2].lstrip("- ")
         each[e_n] = None
         rows.append([e_n, v_0])
-        for _, found, _, _, over_usual, signs in savings(trade, ("e_n",)):
-            rows[-1] += [f"{found}{' *' if signs else ''}", over_usual]
+        for _, found, _, _, over_usual, softness in savings(trade, ("e_n",)):
+            rows[-1] += [f"{found}{' *' if softness else ''}", over_usual]
         for point in trade["points"]:
             plain = point["candidate"]["how"] in ("mean_overlap", "softened") and point["status"] == "completed"
             if plain and _n(point) == 50:

@@ -102,4 +102,4 @@ def test_what_every_run_costs_has_its_name():
     ]
     for fixed in ("the start of the solver", "gas and exchange"):
         text = " ".join(laws(trade(points, {"e_n": 0.1}, fixed=fixed))[0].sentences)
-        assert f"for {fixed}" in text and f"{fixed} take more than half" in text
+        assert f"for {fixed}" in text and f"more than half of it is {fixed}" in text

@@ -117,7 +117,7 @@ class Law:
             start, per_step = (f"({e.value:.3g} ± {e.width:.2g}) s" for e in (self.fit.start, self.fit.per_step))
             texts.append(f"{name}: CPU time = {start} for {self.fixed} + {per_step} per step, {runs}.")
             if half is not None:
-                texts[-1] += f" Below {half:.2g} steps {self.fixed} take more than half of it."
+                texts[-1] += f" Below {half:.2g} steps more than half of it is {self.fixed}."
         if self.by_cpu is not None:
             texts.append(
                 f"{name}: the CPU time goes as k_n^(1/2) nowhere (in no range of three stiffnesses or more is the"
