@@ -17,7 +17,7 @@ from kncal.core.checks import Array
 from kncal.physics.contact_estimators import ContactMeasure, measure_contact
 from kncal.physics.material import sphere_mass
 from kncal.record.frames import Trajectory
-from kncal.scene.bodies import AXES, Particle, Wall
+from kncal.scene.bodies import AXES, Body, Particle, Wall
 from kncal.scene.contact_event import ContactEvent, Names
 from kncal.scene.model import Plan
 from kncal.scene.scene import Scene
@@ -44,19 +44,26 @@ _OBLIQUE = 1e-9
 
 @dataclass(frozen=True, kw_only=True)
 class OverlapSeries:
-    """Overlap of one pair at every frame.
+    """Overlap and relative motion of one pair at every frame.
 
     Attributes
     ----------
     pair : names of the two bodies
     t : (frames,) [s]
     delta, delta_dot : (frames,) overlap (negative: a gap) and its rate [m], [m/s]
+    normal : (frames, 3) unit vector from the second body to the first
+    velocity : (frames, 3) of the first body relative to the second [m/s]
+    pull : (frames,) second derivative of the overlap from all forces on the bodies [m/s²]; that of free flight in a
+        free frame
     """
 
     pair: Names
     t: Array
     delta: Array
     delta_dot: Array
+    normal: Array
+    velocity: Array
+    pull: Array
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,19 +105,12 @@ def _without_pair(contact: ContactEvent) -> dict[str, Any]:
     return values
 
 
-@dataclass(frozen=True)
-class _Relative:
-    """Relative motion of one pair at every frame: ``n`` points from the second body to the first."""
-
-    n: Array
-    w: Array
-    delta: Array
-    delta_dot: Array
-    #: second derivative of the overlap from all forces on the bodies; that of free flight in a free frame
-    pull: Array
+def overlaps(scene: Scene, trajectory: Trajectory) -> dict[Names, OverlapSeries]:
+    """Overlap of every pair of bodies at every frame; keys (name, name) in the order of `Scene.body_pairs`."""
+    return {(a.name, b.name): _relative(trajectory, a, b) for a, b in scene.body_pairs()}
 
 
-def _relative(scene: Scene, trajectory: Trajectory, a: Particle, b: Particle | Wall) -> _Relative:
+def _relative(trajectory: Trajectory, a: Particle, b: Body) -> OverlapSeries:
     i = trajectory.names.index(a.name)
     x, w = trajectory.x[:, i], trajectory.v[:, i]
     push = trajectory.force[:, i] / float(sphere_mass(a.material, a.radius))
@@ -120,39 +120,27 @@ def _relative(scene: Scene, trajectory: Trajectory, a: Particle, b: Particle | W
         n = np.zeros_like(x)
         n[:, axis] = side
         delta = a.radius - side * (x[:, axis] - b.position)
-        return _Relative(n, w, delta, -side * w[:, axis], -side * push[:, axis])
-    j = trajectory.names.index(b.name)
-    d, w = x - trajectory.x[:, j], w - trajectory.v[:, j]
-    push = push - trajectory.force[:, j] / float(sphere_mass(b.material, b.radius))
-    distance = np.sqrt(np.einsum("fk,fk->f", d, d))
-    n = d / distance[:, None]
-    closing = -np.einsum("fk,fk->f", w, n)
-    along = np.einsum("fk,fk->f", w, w) - closing**2
-    pull = -np.einsum("fk,fk->f", push, n) - along / distance
-    return _Relative(n, w, a.radius + b.radius - distance, closing, pull)
-
-
-def overlaps(scene: Scene, trajectory: Trajectory) -> dict[Names, OverlapSeries]:
-    """Overlap of every pair of bodies at every frame; keys (name, name) in the order of `Scene.body_pairs`."""
-    series = {}
-    for a, b in scene.body_pairs():
-        r = _relative(scene, trajectory, a, b)
-        names = (a.name, b.name)
-        series[names] = OverlapSeries(pair=names, t=trajectory.t, delta=r.delta, delta_dot=r.delta_dot)
-    return series
+        closing, pull = -side * w[:, axis], -side * push[:, axis]
+    else:
+        j = trajectory.names.index(b.name)
+        d, w = x - trajectory.x[:, j], w - trajectory.v[:, j]
+        push = push - trajectory.force[:, j] / float(sphere_mass(b.material, b.radius))
+        distance = np.sqrt(np.einsum("fk,fk->f", d, d))
+        n = d / distance[:, None]
+        delta = a.radius + b.radius - distance
+        closing = -np.einsum("fk,fk->f", w, n)
+        along = np.einsum("fk,fk->f", w, w) - closing**2
+        pull = -np.einsum("fk,fk->f", push, n) - along / distance
+    return OverlapSeries(
+        pair=(a.name, b.name), t=trajectory.t, delta=delta, delta_dot=closing, normal=n, velocity=w, pull=pull
+    )
 
 
 def observe(model: Plan, trajectory: Trajectory) -> Observations:
     """Find every contact in the frames of a run, and the metrics that apply."""
     scene, t = model.scene, trajectory.t
-    series: dict[Names, OverlapSeries] = {}
-    motions: dict[Names, _Relative] = {}
-    found: list[tuple[ContactEvent, int, int]] = []
-    for a, b in scene.body_pairs():
-        names = (a.name, b.name)
-        r = motions[names] = _relative(scene, trajectory, a, b)
-        series[names] = OverlapSeries(pair=names, t=t, delta=r.delta, delta_dot=r.delta_dot)
-        found += [(_event(names, t, r, *run), *run) for run in _runs(r.delta)]
+    series = overlaps(scene, trajectory)
+    found = [(_event(r, *run), *run) for r in series.values() for run in _runs(r.delta)]
     # a stable sort keeps the order of the pairs for contacts that start together
     found.sort(key=lambda item: item[0].t_start)
     bodies = {body.name: body for body in scene.bodies}
@@ -171,14 +159,14 @@ def observe(model: Plan, trajectory: Trajectory) -> Observations:
         if isinstance(wall, Wall) and event.v_out is not None:
             later = [other.t_start for other, _, _ in found[k:] if event.pair[0] in other.pair]
             free = min(later, default=math.inf) - float(t[out])
-            values["rebound_height"] = _rebound_height(scene, wall, motions[event.pair], out, free)
+            values["rebound_height"] = _rebound_height(scene, wall, series[event.pair], out, free)
         metrics |= {name + suffix: value for name, value in values.items() if value is not None}
     if found and found[0][0].complete:
         event, start, out = found[0]
-        metrics |= _oblique(motions[event.pair], trajectory, event, start, out)
+        metrics |= _oblique(series[event.pair], trajectory, event, start, out)
     for a, b in scene.body_pairs():
         if isinstance(b, Wall) and model.between(a.name, b.name).friction > 0.0 and "slip_end_time" not in metrics:
-            metrics |= _slip_end(trajectory, a, motions[a.name, b.name])
+            metrics |= _slip_end(trajectory, a, series[a.name, b.name])
     return Observations(contacts=tuple(event for event, _, _ in found), metrics=metrics, series=series)
 
 
@@ -190,14 +178,14 @@ def _runs(delta: Array) -> list[tuple[int, int]]:
     return [(max(int(i) - 1, 0), min(int(j), len(delta) - 1)) for i, j in zip(first, after, strict=True)]
 
 
-def _event(names: Names, t: Array, r: _Relative, start: int, out: int) -> ContactEvent:
+def _event(r: OverlapSeries, start: int, out: int) -> ContactEvent:
     part = slice(start, out + 1)
-    m = measure_contact(t[part], r.delta[part], r.delta_dot[part], pull_in=r.pull[start], pull_out=r.pull[out])
+    m = measure_contact(r.t[part], r.delta[part], r.delta_dot[part], pull_in=r.pull[start], pull_out=r.pull[out])
     started, ended, v_in = bool(m.started), bool(m.ended), float(m.v_in)
     v_out = float(m.v_out) if ended else None
     complete = started and ended
     return ContactEvent(
-        pair=names,
+        pair=r.pair,
         t_start=float(m.t_start),
         t_c=float(m.t_c),
         delta_max=float(m.delta_max),
@@ -209,40 +197,40 @@ def _event(names: Names, t: Array, r: _Relative, start: int, out: int) -> Contac
     )
 
 
-def _rebound_height(scene: Scene, wall: Wall, r: _Relative, out: int, free: float) -> float | None:
+def _rebound_height(scene: Scene, wall: Wall, r: OverlapSeries, out: int, free: float) -> float | None:
     """Highest gap after the contact [m], gap + v²/(2 g); None without a pull back or without free flight."""
     axis = AXES.index(wall.axis)
-    g = -float(r.n[out, axis]) * scene.gravity[axis]
+    g = -float(r.normal[out, axis]) * scene.gravity[axis]
     speed = max(-float(r.delta_dot[out]), 0.0)
     if g <= 0.0 or speed / g > free:
         return None
     return float(-r.delta[out]) + speed**2 / (2.0 * g)
 
 
-def _oblique(r: _Relative, trajectory: Trajectory, event: ContactEvent, start: int, out: int) -> dict[str, float]:
-    before = r.w[start] + r.delta_dot[start] * r.n[start]
+def _oblique(r: OverlapSeries, trajectory: Trajectory, event: ContactEvent, start: int, out: int) -> dict[str, float]:
+    before = r.velocity[start] + r.delta_dot[start] * r.normal[start]
     slide = float(np.linalg.norm(before))
-    if slide <= _OBLIQUE * float(np.linalg.norm(r.w[start])) or event.v_out is None:
+    if slide <= _OBLIQUE * float(np.linalg.norm(r.velocity[start])) or event.v_out is None:
         return {}
     forward = before / slide
     # in a pair the tangent plane turns with the bodies
-    ahead = forward - (forward @ r.n[out]) * r.n[out]
+    ahead = forward - (forward @ r.normal[out]) * r.normal[out]
     ahead /= np.linalg.norm(ahead)
-    after = float(r.w[out] @ ahead)
+    after = float(r.velocity[out] @ ahead)
     spin = trajectory.spin[out, trajectory.names.index(event.pair[0])]
     return {
         "tangential_restitution": after / slide,
-        "spin_out": float(spin @ np.cross(r.n[out], ahead)),
+        "spin_out": float(spin @ np.cross(r.normal[out], ahead)),
         "rebound_angle": float(np.arctan2(after, event.v_out)),
     }
 
 
-def _slip_end(trajectory: Trajectory, a: Particle, r: _Relative) -> dict[str, float]:
+def _slip_end(trajectory: Trajectory, a: Particle, r: OverlapSeries) -> dict[str, float]:
     """First time at which the contact point of a particle that starts on a wall no longer slips forward."""
     arm = a.radius - 0.5 * np.maximum(r.delta, 0.0)
     spin = trajectory.spin[:, trajectory.names.index(a.name)]
-    v_t = r.w + r.delta_dot[:, None] * r.n
-    slip = v_t - arm[:, None] * np.cross(spin, r.n)
+    v_t = r.velocity + r.delta_dot[:, None] * r.normal
+    slip = v_t - arm[:, None] * np.cross(spin, r.normal)
     start = float(np.linalg.norm(slip[0]))
     if -r.delta[0] > _TOUCHING * a.radius or start == 0.0 or abs(r.delta_dot[0]) > _ALONG * start:
         return {}

@@ -6,7 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from kncal.core.checks import Array
 from kncal.observe.contacts import Observations, observe
+from kncal.observe.run_data import ExactMotion
 from kncal.physics.closed_forms import gross_sliding, slip_end
 from kncal.physics.laws import LAWS
 from kncal.physics.material import sphere_mass
@@ -76,13 +78,17 @@ def exact_trajectory(model: Plan, motion: ExactSolution) -> Trajectory:
         start, end = contact.t_start, contact.t_start + contact.t_c
         margin = 1e-3 * contact.t_c
         times.append(np.linspace(start - margin, end + margin, _FRAMES))
-    t = np.unique(np.clip(np.concatenate(times), 0.0, motion.t_end))
+    return frames_at(model, motion, np.unique(np.clip(np.concatenate(times), 0.0, motion.t_end)))
+
+
+def frames_at(model: Plan, motion: ExactMotion, t: Array) -> Trajectory:
+    """Return the exact motion as frames at the times ``t`` [s]."""
     x, v = motion.at(t)
     # Observations take the acceleration of free flight from the force on a free particle: its weight.
     mass = np.array([float(sphere_mass(p.material, p.radius)) for p in model.scene.spheres])
     weight = mass[:, None] * np.asarray(model.scene.gravity)
     return Trajectory(
-        names=motion.names,
+        names=tuple(p.name for p in model.scene.spheres),
         step=np.arange(t.size),
         t=t,
         x=x,

@@ -12,16 +12,15 @@ from numpy.typing import NDArray
 from kncal.core.checks import Array
 from kncal.observe.compare import Comparison
 from kncal.observe.contacts import overlaps
-from kncal.observe.run_data import ExactMotion, RunData
+from kncal.observe.run_data import RunData
+from kncal.observe.truth import frames_at
 from kncal.physics.material import sphere_mass
-from kncal.record.frames import Trajectory
 from kncal.record.series import BedSeries
 from kncal.report import plots
 from kncal.report.animation import animate, has_mp4, snapshot
 from kncal.report.page import Figure
 from kncal.report.style import Album
 from kncal.scene.bodies import AXES, Particle, Wall
-from kncal.scene.model import PairContact
 from kncal.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -228,44 +227,30 @@ def _first_contact(data: RunData, pair: tuple[str, str]) -> _Lines | None:
         return None
     scene, motion = data.model.scene, data.trajectory
     contact = data.model.between(*pair)
-    first, second = _bodies(scene, pair)
+    first, _ = _bodies(scene, pair)
+    series = data.observations.series[pair]
     start = event.t_start
     end = start + (event.t_c if event.complete else 3.0 * contact.t_c)
     inside = (motion.t >= start) & (motion.t <= end)
-    delta = data.observations.series[pair].delta[inside]
+    delta = series.delta[inside]
     run = (motion.t[inside] - start, np.maximum(delta, 0.0))
     run_force = exact = exact_force = None
     if not _touches_others(data, pair, inside):
         # what the solver really applied: the recorded total force without the weight
-        index = [p.name for p in scene.spheres].index(first.name)
         weight = float(sphere_mass(first.material, first.radius)) * np.asarray(scene.gravity)
-        normal = _normal(scene, first, second, motion.x[inside])
-        run_force = (delta, ((motion.force[inside, index] - weight) * normal).sum(axis=1))
+        force = motion.force[inside, motion.names.index(first.name)] - weight
+        run_force = (delta, (force * series.normal[inside]).sum(axis=1))
     if data.motion is not None:
         times = np.linspace(start, min(end, data.model.t_end), _POINTS)
-        delta, rate = _exact_overlap(scene, pair, data.motion, times)
-        exact = (times - start, np.maximum(delta, 0.0))
-        touching = delta >= 0.0
-        exact_force = (delta[touching], _normal_force(contact, delta[touching], rate[touching]))
+        there = overlaps(scene, frames_at(data.model, data.motion, times))[pair]
+        exact = (times - start, np.maximum(there.delta, 0.0))
+        touching = there.delta >= 0.0
+        exact_force = (there.delta[touching], contact.force(there.delta[touching], there.delta_dot[touching]))
     return _Lines(run, exact, run_force, exact_force)
 
 
 def _bodies(scene: Scene, pair: tuple[str, str]) -> tuple[Particle, Particle | Wall]:
     return next((a, b) for a, b in scene.body_pairs() if (a.name, b.name) == pair)
-
-
-def _normal(scene: Scene, first: Particle, second: Particle | Wall, x: Array) -> Array:
-    """Unit vector (frames, 3) from the second body towards the first; ``x`` are all positions [m]."""
-    names = [p.name for p in scene.spheres]
-    i = names.index(first.name)
-    if isinstance(second, Wall):
-        axis = AXES.index(second.axis)
-        normal = np.zeros_like(x[:, i])
-        normal[:, axis] = np.sign(first.position[axis] - second.position)
-        return normal
-    apart = x[:, i] - x[:, names.index(second.name)]
-    towards: Array = apart / np.linalg.norm(apart, axis=1)[:, None]
-    return towards
 
 
 def _touches_others(data: RunData, pair: tuple[str, str], inside: NDArray[np.bool_]) -> bool:
@@ -274,50 +259,28 @@ def _touches_others(data: RunData, pair: tuple[str, str], inside: NDArray[np.boo
     return any(bool((s.delta[inside] > 0.0).any()) for s in others)
 
 
-def _exact_overlap(scene: Scene, pair: tuple[str, str], exact: ExactMotion, times: Array) -> tuple[Array, Array]:
-    """Overlap [m] and its rate [m/s] of a pair at ``times`` of the exact motion."""
-    x, v = exact.at(times)
-    nothing = np.zeros_like(x)
-    radii = np.array([p.radius for p in scene.spheres])
-    names = tuple(p.name for p in scene.spheres)
-    motion = Trajectory(names, np.arange(len(times)), times, x, v, nothing, nothing, radii)
-    series = overlaps(scene, motion)[pair]
-    return series.delta, series.delta_dot
-
-
-def _normal_force(contact: PairContact, delta: Array, rate: Array) -> Array:
-    """Normal force of `PairContact` [N], k delta^n + c delta^p delta_dot, no attraction for the force end."""
-    force = contact.k * delta**contact.n + contact.c * delta**contact.p * rate
-    return np.maximum(force, 0.0) if contact.end == "force" else force
-
-
 def _motions(comparison: Comparison) -> tuple[str, dict[str, plots.Line]]:
     """Label and lines of the motion: gap to the wall that is hit first, else the largest displacement."""
     from scipy.interpolate import CubicHermiteSpline
 
     data = comparison.reference
-    scene = data.model.scene
-    wall = None
-    if data.observations.contacts:
-        first, second = _bodies(scene, data.observations.contacts[0].pair)
-        wall = second if isinstance(second, Wall) else None
+    spheres = data.model.scene.spheres
     sides = data.trajectory.x.max(axis=0) - data.trajectory.x.min(axis=0)
     particle, axis = (int(i) for i in np.unravel_index(sides.argmax(), sides.shape))
-    if wall is not None and AXES[axis] == wall.axis:
-        particle = [p.name for p in scene.spheres].index(first.name)
-        label = f"gap between {first.name} and {wall.name}"
-    else:
-        wall = None
-        label = f"displacement of {scene.spheres[particle].name} along {AXES[axis]}"
+    label, pair = f"displacement of {spheres[particle].name} along {AXES[axis]}", None
+    if data.observations.contacts:
+        first, second = _bodies(data.model.scene, data.observations.contacts[0].pair)
+        if isinstance(second, Wall) and second.axis == AXES[axis]:
+            label, pair = f"gap between {first.name} and {second.name}", (first.name, second.name)
     lines = {}
     for kind, run in (("linear", comparison.run), ("hertz", comparison.reference)):
         motion = run.trajectory
+        if pair is None:
+            y, rate = motion.x[:, particle, axis] - motion.x[0, particle, axis], motion.v[:, particle, axis]
+        else:
+            series = run.observations.series[pair]
+            y, rate = -series.delta, -series.delta_dot
         # frames are far apart in flight, where the interpolant is exact
         times = np.union1d(motion.t, np.linspace(motion.t[0], motion.t[-1], _POINTS))
-        x = CubicHermiteSpline(motion.t, motion.x[:, particle, axis], motion.v[:, particle, axis])(times)
-        if wall is None:
-            lines[kind] = (times, x - motion.x[0, particle, axis])
-        else:
-            side = np.sign(scene.spheres[particle].position[axis] - wall.position)
-            lines[kind] = (times, (x - wall.position) * side - scene.spheres[particle].radius)
+        lines[kind] = (times, CubicHermiteSpline(motion.t, y, rate)(times))
     return label, lines

@@ -7,6 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
+import numpy as np
+
+from kncal.core.checks import Array
 from kncal.scene.needs import Needs
 from kncal.scene.scene import Scene
 from kncal.scene.species import SpeciesPair, SpeciesTable, species_of
@@ -57,6 +60,11 @@ class PairContact:
     rolling_friction: float
     k_t: float
     warnings: Mapping[str, str] = field(default_factory=dict)
+
+    def force(self, delta: Array, delta_dot: Array) -> Array:
+        """Return the normal force [N] while the bodies touch; without its attraction for the end "force"."""
+        force: Array = self.k * delta**self.n + self.c * delta**self.p * delta_dot
+        return np.maximum(force, 0.0) if self.end == "force" else force
 
     def overlap_under(self, force: float) -> float:
         """Return the overlap [m] at which the spring carries ``force`` [N]: (F/k)^(1/n)."""
