@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
+from sweeps import swept
 
 from kncal.cli import main
 
@@ -57,3 +59,19 @@ def kncal(capsys):
         return stop.value.code, printed.out, printed.err
 
     return run
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A sweep of four runs of `CASE`; to be copied."""
+    home = tmp_path_factory.mktemp("finished") / "bead"
+    home.mkdir()
+    (home / "case.toml").write_text(CASE)
+    swept(home / "case.toml", home / "sweep")
+    return home / "sweep"
+
+
+@pytest.fixture
+def folder(finished: Path, tmp_path: Path) -> Path:
+    """A finished sweep of four runs of `case`."""
+    return shutil.copytree(finished, tmp_path / "sweep")
