@@ -103,13 +103,10 @@ def bed_impact_speeds(series: BedSeries, begin: float, doubt: str = "") -> dict[
     Raises
     ------
     InputError
-        If the run has no record of them (particles that do not move, or the run of an earlier kncal).
+        If the run has no record of them: its particles do not move.
     """
     if not series.facts.impact_edges:
-        raise InputError(
-            "impact speeds: not recorded (its particles do not move, or an earlier kncal ran it): expected a run of "
-            "moving particles; run the case again with --rerun"
-        )
+        raise InputError("impact speeds: not recorded, its particles do not move: expected a run of moving particles")
     rows = rows_from(series, begin)
     edges = np.array(series.facts.impact_edges)
     found = {}

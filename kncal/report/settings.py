@@ -6,15 +6,12 @@ from collections.abc import Set
 from typing import Any
 
 from kncal.core.units import percent, quantity
+from kncal.physics.drag import DRAGS
 from kncal.physics.methods import METHODS
 from kncal.report.page import Table
 from kncal.scene.model import Plan
 from kncal.scene.scene import ContactChoice, Gas
 
-_DRAGS = {
-    "ErgunWenYu": "Ergun below a void fraction of 0.8, Wen and Yu above (Gidaspow's combination)",
-    "PlessisMasliyah": "Du Plessis and Masliyah",
-}
 _DEPTHS = {
     "walls": "walls in front and at the back",
     "periodic": "periodic in depth",
@@ -60,7 +57,7 @@ def run_settings(linear: Plan, hertz: Plan, costs: tuple[Any, Any]) -> Table:
                 "gas cells (x, y, z)",
                 f"{' × '.join(map(str, gas.cells))}; smallest edge {smallest / particles.diameter:.3g} diameters",
             ),
-            _both("drag law", f"{gas.drag}: {_DRAGS.get(gas.drag, '')}".rstrip(": ")),
+            _both("drag law", f"{gas.drag}: {DRAGS.find(gas.drag).title}"),
             _both("gas enters", _inlet(gas)),
             _both("parcels per particle", str(gas.parcels_per_particle)),
         ]

@@ -37,13 +37,7 @@ def speeds_section(runs: tuple[RunData, ...], album: Album) -> Section:
     first = len(album.figures)
     for data in runs:
         name = model_name(data.model.kind)
-        if data.signals is None or not data.model.contacts:
-            continue
-        if not data.series.facts.impact_edges:
-            sentences.append(
-                f"{name}: impact speeds are not recorded in this run, which an earlier kncal made;"
-                " the same command with --rerun records them."
-            )
+        if data.signals is None or not data.signals.facts.impact_edges:  # nothing can meet
             continue
         speeds = bed_impact_speeds(data.series, data.seen.begin, data.seen.window.doubt)
         for kind, pair in KINDS_OF_IMPACTS.items():
