@@ -34,17 +34,19 @@ def check_options(scene: Scene, *, engine: str = "liggghts", transport: str = "a
             raise InputError(f"--{name} has no meaning for {what}: leave it out")
 
 
-def plan_checked(scene: Scene, kinds: Iterable[str]) -> Mapping[str, Any]:
+def plan_checked(scene: Scene, kinds: Iterable[str], *, beyond: bool = False) -> Mapping[str, Any]:
     """Return the plans of a scene by kind, refused where a limit says so (the rest: `kncal.scene.limits.warnings_of`).
+
+    ``beyond``: limits are not asked.
 
     Raises
     ------
     CaseFileError
         If a limit refuses the run, with every reason.
     """
-    if not scene.coupled:
-        return plan(scene, tuple(kinds))
     models = plan(scene, tuple(kinds))
+    if beyond or not scene.coupled:
+        return models
     refused = dict.fromkeys(f.message for _, f in findings_of(models.values()) if f.level == "refuse")
     if refused:
         raise CaseFileError(f"{scene.name}: " + "; ".join(refused))

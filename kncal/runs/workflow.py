@@ -98,12 +98,13 @@ def _rendered(
     by_hand: bool,
     rerun: bool,
     repeat: int,
+    beyond: bool = False,
     progress_for: ProgressFor | None,
     tell: Tell | None,
 ) -> Iterator[_Rendered]:
     """Render into ``out`` and hold it."""
     engine.check(scene, by_hand=by_hand)
-    models = plan_checked(scene, [one_of("model", kind, KINDS) for kind in kinds])
+    models = plan_checked(scene, [one_of("model", kind, KINDS) for kind in kinds], beyond=beyond)
     profile = engine.profile()
     start = engine.start(scene, tell=tell, progress=progress_for(PACKING) if progress_for else None)
     with scratch() as draft:
@@ -135,13 +136,14 @@ def run_case(
     progress_for: ProgressFor | None = None,
     repeat: int = 1,
     rerun: bool = False,
+    beyond: bool = False,
     tell: Tell | None = None,
 ) -> dict[str, RunResult]:
     """Render and run the models, and stop at the first that does not complete.
 
     A model whose completed run is in ``out``, of the same input by the same solver, is not run again; a bed that was
     stopped resumes at its last complete checkpoint (``rerun``: both start again). Whatever else was there is moved to
-    ``attempt-N``. ``tell`` is called with a sentence about each such model.
+    ``attempt-N``. ``tell`` is called with a sentence about each such model. ``beyond``: limits are not asked.
 
     With ``repeat`` > 1 the models are run in turn that many times (A B A B ...), so that their CPU times are comparable
     on a busy machine; the frames kept are the last run's, the CPU seconds of all stand in ``extra["cpu_samples"]``.
@@ -180,6 +182,7 @@ def run_case(
             by_hand=False,
             rerun=rerun,
             repeat=repeat,
+            beyond=beyond,
             progress_for=progress_for,
             tell=tell,
         ) as it:

@@ -68,6 +68,7 @@ class Sweep(BaseModel):
     engine, models, transport : of every run; ``transport`` is "" where nothing is coupled
     timeout : wall-clock limit of each model's run [s], or None
     ranks, oversubscribe : of every run, see `kncal.core.mpi.check_ranks`
+    beyond : whether limits (`kncal.scene.limits`) are not asked, since what happens beyond them is looked for
     runs : id -> the values that the run has in place of the case's, as ``KEY = VALUE``
     refused : points that were left out because they cannot run
     """
@@ -83,6 +84,7 @@ class Sweep(BaseModel):
     timeout: Annotated[float, Field(gt=0.0)] | None
     ranks: Annotated[int, Field(ge=1)] = 1
     oversubscribe: bool = False
+    beyond: bool = False
     created: str
     runs: dict[Id, list[str]]
     refused: list[Refused]
@@ -103,6 +105,7 @@ class Settings:
     transport : of beds
     timeout : wall-clock limit of each model's run [s], or None; not part of a run's identity
     ranks : processes that share one run; oversubscribe : allow more of them than cores (not part of the identity)
+    beyond : do not ask the limits of the scene
     """
 
     engine: str = "liggghts"
@@ -111,6 +114,7 @@ class Settings:
     timeout: float | None = None
     ranks: int = 1
     oversubscribe: bool = False
+    beyond: bool = False
 
     def __post_init__(self) -> None:
         if not self.models or len(set(self.models)) != len(self.models):
@@ -201,7 +205,7 @@ def design_points(
             values = [str(override) for override in point]
             try:
                 scene = load_case(case, overrides=values) if values else base
-                models = _checked(scene, settings.models, engine, draft)
+                models = _checked(scene, settings, engine, draft)
                 written = dump_case(scene)
             except KncalError as error:
                 # the values stand beside the message anyway
@@ -228,6 +232,7 @@ def design_points(
             "transport": transport,
             "timeout": settings.timeout,
             **shared,
+            "beyond": settings.beyond,
             "created": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
             "runs": runs,
             "refused": refused,
@@ -242,10 +247,10 @@ def _refusal(refused: Sequence[Refused]) -> CaseFileError:
     return CaseFileError(f"points of the sweep that cannot run; nothing was started:\n{named}{more}")
 
 
-def _checked(scene: Scene, kinds: Sequence[str], engine: Engine, draft: Path) -> list[Plan]:
+def _checked(scene: Scene, settings: Settings, engine: Engine, draft: Path) -> list[Plan]:
     """Return the models of a scene that can run; refused by planning, limits, or what the engine cannot do."""
     engine.check(scene)
-    models = list(plan_checked(scene, kinds).values())
+    models = list(plan_checked(scene, settings.models, beyond=settings.beyond).values())
     for model in models:
         if not model.couplings:  # what starts from a packing is rendered when it runs
             engine.render(model, draft)

@@ -210,6 +210,7 @@ def _run_case(sweep: Sweep, scene: Scene, out: Path) -> None:
         out,
         sweep.models,
         timeout=sweep.timeout,
+        beyond=sweep.beyond,
         progress_for=lambda _: _look_for_stop,
     )
 

@@ -75,6 +75,7 @@ def run_variants(
     timeout: float | None = None,
     on_progress: OnStudyProgress | None = None,
     look: bool = False,
+    beyond: bool = False,
 ) -> dict[str, VariantRun]:
     """Run variants of a case, each ``rounds`` times, and return what became of them, by name in the order given.
 
@@ -90,6 +91,7 @@ def run_variants(
     workers : runs at a time; default: one per core
     timeout : wall-clock limit of each run [s]
     look : run nothing, only say what is there; a variant without a result is `WAITING`
+    beyond : run also what a limit refuses
 
     Raises
     ------
@@ -109,7 +111,7 @@ def run_variants(
             ours = [variant for variant in variants if variant.model == kind]
             if not ours:
                 continue
-            settings = Settings(engine=engine, models=(kind,), transport=transport, timeout=timeout)
+            settings = Settings(engine=engine, models=(kind,), transport=transport, timeout=timeout, beyond=beyond)
             told = None if on_progress is None else partial(on_progress, number, rounds, kind)
             there = folder / f"round-{number}" / kind
             for run in _round(case, ours, settings, there, workers, told, look=look):

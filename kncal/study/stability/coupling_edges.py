@@ -6,29 +6,29 @@ are from it. Each scan changes one thing; its first run, the finest, is what the
 
 from __future__ import annotations
 
-import hashlib
 import math
-import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from kncal.core.checks import Array
 from kncal.core.errors import ReadError
-from kncal.core.files import write_json
-from kncal.core.records import Record, is_record, read_record
-from kncal.engines.coupled import Coupled
+from kncal.core.files import write_text
 from kncal.engines.settle import start_positions
 from kncal.physics.fluidization import relaxation_time
-from kncal.record.series import BedSeries, read_series
-from kncal.runs.workflow import require_completed
+from kncal.record.series import PIECES, read_series
+from kncal.scene.case_file import CASE, dump_case, load_case
 from kncal.scene.limits import check
 from kncal.scene.load import EPS_SETTLED, largest_superficial, settled_height
 from kncal.scene.plan import plan
 from kncal.scene.scene import Scene
+from kncal.study.runs import REFUSED, VariantRun, run_variants
+from kncal.study.states import WAITING
+from kncal.study.sweep import SweepProgress
+from kncal.study.variants import Changes, Variant
 
 #: Particles of a reduced bed, its gas cells in x and y, and its simulated time [s].
 COUNT, CELLS, END_TIME = 600, (3, 2), 0.05
@@ -139,25 +139,41 @@ def bed_edges(
     if scene.gas is None or scene.group.frozen or scene.group.number < 2 or scene.g == 0.0:
         return []
     small = reduced(scene)
-    positions = start_positions(small, tell=tell)
-    edges = []
-    for name, unit, points, codes in _scans(small, quick=quick):
-        runs: list[BedPoint] = []
-        finest: dict[str, float] = {}
-        for value, setting, changed in points:
-            if tell:
-                tell(f"{name}: {value:g}")
-            there = folder / f"{name.replace(' ', '-')}-{value:g}"
-            found = _run(changed, positions, there, transport)
-            level = _level(changed, codes)
-            point = _point(name, value, setting, unit, level, found, finest)
-            finest = finest or dict(point.numbers)
-            runs.append(point)
-        edges.append(BedEdge(name=name, runs=tuple(runs)))
-    return edges
+    # all runs start from one packing, whatever changes
+    positions = tuple(tuple(map(float, centre)) for centre in start_positions(small, tell=tell))
+    small = small.with_group(place="given", count=None, positions=positions)
+    case = folder / small.name / CASE
+    case.parent.mkdir(parents=True, exist_ok=True)
+    write_text(case, dump_case(small))
+    scans = _scans(small, quick=quick)
+    ended = _run(case, [step.variant for scan in scans for step in scan.steps], folder / "runs", transport, tell)
+    return [_edge(case, scan, ended) for scan in scans]
 
 
-def _scans(scene: Scene, *, quick: bool) -> list[tuple[str, str, list[tuple[float, float, Scene]], tuple[str, ...]]]:
+@dataclass(frozen=True, kw_only=True)
+class _Step:
+    """One value of a scan [-], what is set by it in the scan's unit, and the variant that is run."""
+
+    value: float
+    setting: float
+    variant: Variant
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Scan:
+    """What changes one thing: ``codes`` are the limits of kncal that speak of it."""
+
+    name: str
+    unit: str
+    codes: tuple[str, ...]
+    steps: list[_Step]
+
+
+#: From what is set to the changes that set it.
+_By = Callable[[float], Changes]
+
+
+def _scans(scene: Scene, *, quick: bool) -> list[_Scan]:
     gas, box, d = scene.gas, scene.box, scene.group.diameter
     assert gas is not None  # noqa: S101  # `bed_edges` sees to it
     speed = largest_superficial(scene) / EPS_SETTLED
@@ -165,31 +181,59 @@ def _scans(scene: Scene, *, quick: bool) -> list[tuple[str, str, list[tuple[floa
     tau = float(relaxation_time(scene.density, d, gas.density, gas.viscosity, slip=speed, eps_g=EPS_SETTLED))
     step = 0.25 * h / speed
     courant = COURANT[::2] if quick else COURANT
-    relaxation = RELAXATION[:-2:2] if quick else RELAXATION
-    cells = CELL[::2] if quick else CELL
     longest = courant[-1] * h / speed
 
-    def with_run(coupling: float, gas_step: float) -> Scene:
+    def scan(name: str, unit: str, codes: tuple[str, ...], values: Sequence[float], size: float, by: _By) -> _Scan:
+        called = name.replace(" ", "-")
+        variants = [Variant(name=f"{called}-{v:g}", model="linear", changes=by(v * size)) for v in values]
+        steps = [_Step(value=v, setting=v * size, variant=made) for v, made in zip(values, variants, strict=True)]
+        return _Scan(name=name, unit=unit, codes=codes, steps=steps)
+
+    def run(coupling: float, gas_step: float) -> Changes:
         # at least four intervals, however long
         end = max(END_TIME, 4.0 * coupling)
-        return replace(scene, run=replace(scene.run, coupling=coupling, gas_step=gas_step, until_time=end))
+        return {"run.coupling": coupling, "run.gas_step": gas_step, "run.until_time": end}
 
-    def with_cells(ratio: float) -> Scene:
-        nx, ny, nz = (max(round(size / (ratio * d)), 1) for size in box.size)
-        cells = (nx, 1 if scene.layer else ny, nz)
-        fine = min(step, 0.25 * ratio * d / speed)
-        return replace(with_run(fine, fine), gas=replace(gas, cells=cells))
+    def cells(edge: float) -> Changes:
+        nx, ny, nz = (max(round(size / edge), 1) for size in box.size)
+        fine = min(step, 0.25 * edge / speed)
+        return {**run(fine, fine), "gas.cells": [nx, 1 if scene.layer else ny, nz]}
 
+    relaxation, edges = (RELAXATION[:-2:2], CELL[::2]) if quick else (RELAXATION, CELL)
+    of_coupling = ("relaxation", "particle-way")
     return [
-        ("gas step", "s", [(c, c * h / speed, with_run(longest, c * h / speed)) for c in courant], ("courant",)),
-        (
-            "coupling interval",
-            "s",
-            [(b, b * tau, with_run(b * tau, min(step, b * tau))) for b in relaxation],
-            ("relaxation", "particle-way"),
-        ),
-        ("cell size", "m", [(r, r * d, with_cells(r)) for r in cells], ("cell-size",)),
+        scan("gas step", "s", ("courant",), courant, h / speed, lambda dt: run(longest, dt)),
+        scan("coupling interval", "s", of_coupling, relaxation, tau, lambda dt: run(dt, min(step, dt))),
+        scan("cell size", "m", ("cell-size",), edges, d, cells),
     ]
+
+
+def _run(
+    case: Path, variants: Sequence[Variant], folder: Path, transport: str, tell: Callable[[str], None] | None
+) -> Mapping[str, VariantRun]:
+    """Run what has not ended yet, past the limits; how a run failed is a result too, so that none is run twice."""
+
+    def told(_round: int, _rounds: int, _model: str, progress: SweepProgress) -> None:
+        if tell:
+            tell(f"runs with gas: {progress.done} of {progress.total}")
+
+    run = partial(run_variants, case, folder=folder, transport=transport, timeout=_TIMEOUT, beyond=True)
+    there = run(variants, look=True)
+    left = [v for v in variants if there[v.name].status in (WAITING, "interrupted", "not_installed")]
+    return {**there, **run(left, on_progress=told)}
+
+
+def _edge(case: Path, scan: _Scan, ended: Mapping[str, VariantRun]) -> BedEdge:
+    runs: list[BedPoint] = []
+    finest: Mapping[str, float] = {}
+    for step in scan.steps:
+        run = ended[step.variant.name]
+        refused = run.status == REFUSED
+        level = "refuse: no case" if refused else _level(load_case(case, overrides=step.variant.overrides), scan.codes)
+        found = _point(scan, step, level, run, finest)
+        finest = finest or found.numbers
+        runs.append(found)
+    return BedEdge(name=scan.name, runs=tuple(runs))
 
 
 def _level(scene: Scene, codes: Sequence[str]) -> str:
@@ -199,83 +243,54 @@ def _level(scene: Scene, codes: Sequence[str]) -> str:
     return f"{findings[0].level}: {', '.join(f.code for f in findings if f.level == findings[0].level)}"
 
 
-class _Ended(Record):
-    """How a run ended: its failure, or its status."""
-
-    status: str
-    message: str
-
-
-def _run(scene: Scene, positions: Array, folder: Path, transport: str) -> tuple[str, str, BedSeries | None]:
-    """Status or failure, message, and what is there of the series. Limits are not asked: the run goes past them.
-
-    A run that ended, of the same input, is not run again: its folder's name is a hash of it.
-    """
-    model = plan(scene, ("linear",))["linear"]
-    digest = hashlib.sha256(repr(model).encode() + positions.tobytes()).hexdigest()
-    there = folder.with_name(f"{folder.name}-{digest[:12]}")
-    record = there / "ended.json"
-    if not is_record(_Ended, record):
-        if there.exists():  # stopped on its way; this study's own folder
-            shutil.rmtree(there)
-        there.mkdir(parents=True)
-        result = Coupled(transport).run(model, there, start=positions, timeout=_TIMEOUT)
-        if result.status in ("interrupted", "not_installed"):
-            require_completed([result])
-        write_json(record, {"status": result.failure or result.status, "message": result.message})
-    ended = read_record(_Ended, record)
+def _numbers(folder: Path | None) -> dict[str, float]:
+    """Means and largest values of a run as far as it came; empty if it failed before its first coupling."""
     try:
-        series: BedSeries | None = read_series(there / "series")
+        series = read_series(folder / PIECES) if folder is not None else None
     except ReadError:
-        series = None  # it failed before its first coupling was written
-    return ended.status, ended.message, series
+        series = None
+    if series is None or not len(series.t):
+        return {}
+    late = slice(len(series.t) // 2, None)
+    numbers = {
+        "pressure": float(np.mean(series.p_in[late])),
+        "drag": float(np.mean(series.drag_z[late])),
+        "kinetic": float(np.max(series.kinetic_energy)),
+        "solids_error": float(np.max(series.solids_error)),
+        "courant": float(np.max(series.courant_max)),
+    }
+    return {k: v for k, v in numbers.items() if math.isfinite(v)}
 
 
-def _point(
-    name: str,
-    value: float,
-    setting: float,
-    unit: str,
-    level: str,
-    found: tuple[str, str, BedSeries | None],
-    finest: Mapping[str, float],
-) -> BedPoint:
-    status, message, series = found
-    numbers: dict[str, float] = {}
-    if series is not None and len(series.t):
-        late = slice(len(series.t) // 2, None)
-        numbers = {
-            "pressure": float(np.mean(series.p_in[late])),
-            "drag": float(np.mean(series.drag_z[late])),
-            "kinetic": float(np.max(series.kinetic_energy)),
-            "solids_error": float(np.max(series.solids_error)),
-            "courant": float(np.max(series.courant_max)),
-        }
-        numbers = {k: v for k, v in numbers.items() if math.isfinite(v)}
-    outcome, evidence = status, message[:160]
-    if status == "completed":
+def _point(scan: _Scan, step: _Step, level: str, ended: VariantRun, finest: Mapping[str, float]) -> BedPoint:
+    numbers = _numbers(ended.folder)
+    if not ended.completed:
+        outcome, evidence = ended.failure or ended.status, ended.message[:160]
+    elif not finest:
         outcome, evidence = "right", "the finest run"
-        if finest:
-            ratios = {
-                k: numbers[k] / finest[k] for k in ("pressure", "drag", "kinetic") if k in numbers and finest.get(k)
-            }
-            off = max((abs(ratios[k] - 1.0) for k in ("pressure", "drag") if k in ratios), default=math.inf)
-            solids = numbers.get("solids_error", math.inf)
-            evidence = (
-                f"pressure drop {ratios.get('pressure', math.nan):.3g}, drag {ratios.get('drag', math.nan):.3g}, "
-                f"kinetic energy {ratios.get('kinetic', math.nan):.3g} of the finest run; solids error {solids:.2g}"
-            )
-            if ratios.get("kinetic", math.inf) > BLOWN:
-                outcome = "energy-gain"
-            elif off > OFF or solids > 1e-6:
-                outcome = "off"
+    else:
+        outcome, evidence = _against(finest, numbers)
     return BedPoint(
-        edge=name,
-        value=value,
-        setting=setting,
-        unit=unit,
+        edge=scan.name,
+        value=step.value,
+        setting=step.setting,
+        unit=scan.unit,
         level=level,
         outcome=outcome,
         evidence=evidence,
         numbers=numbers,
     )
+
+
+def _against(finest: Mapping[str, float], numbers: Mapping[str, float]) -> tuple[str, str]:
+    """Return the outcome of a completed run against the finest one, and the numbers in words."""
+    ratios = {k: numbers.get(k, math.nan) / (finest.get(k) or math.nan) for k in ("pressure", "drag", "kinetic")}
+    known = [abs(ratios[k] - 1.0) for k in ("pressure", "drag") if math.isfinite(ratios[k])]
+    solids = numbers.get("solids_error", math.inf)
+    evidence = (
+        f"pressure drop {ratios['pressure']:.3g}, drag {ratios['drag']:.3g}, kinetic energy {ratios['kinetic']:.3g} of"
+        f" the finest run; solids error {solids:.2g}"
+    )
+    if not ratios["kinetic"] <= BLOWN:
+        return "energy-gain", evidence
+    return ("off" if max(known, default=math.inf) > OFF or solids > 1e-6 else "right"), evidence
