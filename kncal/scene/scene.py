@@ -13,13 +13,11 @@ from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import Field
-from pydantic.dataclasses import dataclass
 
 from kncal.core.errors import InputError
 from kncal.physics.material import RANGES, Material
 from kncal.scene.bodies import RIGID, Axis, Body, Particle, Wall
 from kncal.scene.values import (
-    FROZEN,
     Acceleration,
     Cells,
     Coordinate,
@@ -46,6 +44,7 @@ from kncal.scene.values import (
     Velocity,
     Whole,
     Word,
+    checked_class,
     within,
 )
 from kncal.scene.walls import WALLS, AnyWall, BoxWall, PlaneWall
@@ -64,7 +63,7 @@ _T = TypeVar("_T")
 StepsPerContact = Annotated[Number, within(4.0, 1e6, hint="50 is usual")]
 
 
-@dataclass(frozen=True, kw_only=True, config=FROZEN)
+@checked_class
 class MaterialData:
     """``[materials.NAME]``; the ranges are those of `kncal.physics.material.Material`."""
 
@@ -74,7 +73,7 @@ class MaterialData:
     yield_strength: Number | None = Field(default=None, description="yield strength [Pa]")
 
 
-@dataclass(frozen=True, kw_only=True, config=FROZEN)
+@checked_class
 class Particles:
     """``[particles.NAME]``: equal spheres; a single particle is a group of one."""
 
@@ -112,7 +111,7 @@ class Particles:
         return len(self.centres) if self.count is None else self.count
 
 
-@dataclass(frozen=True, kw_only=True, config=FROZEN)
+@checked_class
 class Jet:
     """``[gas.jet]``: a slot in the floor over the whole depth; gas enters through it only."""
 
@@ -123,7 +122,7 @@ class Jet:
     )
 
 
-@dataclass(frozen=True, kw_only=True, config=FROZEN)
+@checked_class
 class Gas:
     """``[gas]``: the gas in the box, its cells, and how it enters."""
 
@@ -152,7 +151,7 @@ class Gas:
         return float(np.interp(time, times, velocities))
 
 
-@dataclass(frozen=True, kw_only=True, config=FROZEN)
+@checked_class
 class PairChoice:
     """``[[contact.pairs]]``: what differs for one pair."""
 
@@ -163,7 +162,7 @@ class PairChoice:
     k_n: Stiffness | None = Field(default=None, description="prescribed linear stiffness [N/m]")
 
 
-@dataclass(frozen=True, kw_only=True, config=FROZEN)
+@checked_class
 class MeasuredSpeed:
     """``[contact.measured]``: how the speed is measured with ``v_0 = "measured"`` (`kncal.runs.measure_speed`)."""
 
@@ -178,7 +177,7 @@ class MeasuredSpeed:
     rounds: Annotated[Whole, within(1, 50)] = Field(default=6, description="most rounds")
 
 
-@dataclass(frozen=True, kw_only=True, config=FROZEN)
+@checked_class
 class ContactChoice:
     """``[contact]``: the reference contact law and how its linear counterpart is found.
 
@@ -214,7 +213,7 @@ class ContactChoice:
         return None
 
 
-@dataclass(frozen=True, kw_only=True, config=FROZEN)
+@checked_class
 class RunControl:
     """``[run]``: how long and how finely to run.
 
@@ -245,7 +244,7 @@ class RunControl:
     )
 
 
-@dataclass(frozen=True, kw_only=True, config=FROZEN)
+@checked_class
 class Scene:
     """A case: everything that a run needs to know, and nothing about the solver that will run it.
 

@@ -3,19 +3,54 @@
 from __future__ import annotations
 
 import re
-from typing import Annotated
+from functools import wraps
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, cast, dataclass_transform
 
 import numpy as np
-from pydantic import AfterValidator, ConfigDict, Field, Strict
+from pydantic import AfterValidator, ConfigDict, Field, Strict, ValidationError
+from pydantic.dataclasses import dataclass
 
-from kncal.core.checks import Range, positive
+from kncal.core.checks import Range, positive, short
+from kncal.core.errors import InputError
+
+if TYPE_CHECKING:
+    from pydantic_core import ErrorDetails
 
 #: Names reach folders, decks and reports.
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 NAME_EXPECTED = "expected a name of 1 to 64 letters, digits, '.', '_' or '-', starting with a letter or digit"
 
-#: Of every class of a scene: unknown keys, NaN and infinity are refused, and nothing changes afterwards.
-FROZEN = ConfigDict(extra="forbid", allow_inf_nan=False)
+_T = TypeVar("_T")
+
+
+@dataclass_transform(kw_only_default=True, frozen_default=True, field_specifiers=(Field,))
+def checked_class(cls: type[_T]) -> type[_T]:
+    """Make a class of a scene: what it is made of is checked against its fields, and stays.
+
+    Unknown keys, NaN and infinity are refused; `InputError` where somebody makes one in Python, from a case file
+    pydantic's own error, of which `kncal.scene.case_errors` makes lines.
+    """
+    made: Any = dataclass(frozen=True, kw_only=True, config=ConfigDict(extra="forbid", allow_inf_nan=False))(cls)
+    checking = made.__init__
+
+    @wraps(checking)
+    def init(self: Any, **given: Any) -> None:
+        try:
+            checking(self, **given)
+        except ValidationError as error:
+            found = error.errors(include_url=False)
+            raise InputError("; ".join(_told(cls.__name__, e) for e in found)) from None
+
+    made.__init__ = init
+    return cast("type[_T]", made)
+
+
+def _told(name: str, error: ErrorDetails) -> str:
+    key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in error["loc"])
+    given = "" if error["type"] in ("missing", "unexpected_keyword_argument") else f" = {short(error['input'])}"
+    text = str(error.get("ctx", {}).get("error", error["msg"]))
+    _, word, expected = text.partition("expected ")
+    return f"{name}{key}{given}: {word}{expected or text}"
 
 
 def _name(text: str) -> str:

@@ -6,15 +6,14 @@ from collections.abc import Callable
 from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Discriminator, Field, Tag
-from pydantic.dataclasses import dataclass
 
 from kncal.core.registry import Registry
 from kncal.physics.material import Material
 from kncal.scene.bodies import RIGID, Axis, Wall
-from kncal.scene.values import FROZEN, Coordinate, Name, Size
+from kncal.scene.values import Coordinate, Name, Size, checked_class
 
 
-@dataclass(frozen=True, kw_only=True, config=FROZEN)
+@checked_class
 class PlaneWall:
     """``[walls.NAME]``: an infinite plane; a particle stays on the side where it starts."""
 
@@ -24,7 +23,7 @@ class PlaneWall:
     material: Name = Field(description='the name of a material, or "rigid"')
 
 
-@dataclass(frozen=True, kw_only=True, config=FROZEN)
+@checked_class
 class BoxWall:
     """``[walls.NAME]`` with ``shape = "box"``: 0 … size; open where an axis is periodic or the layer's."""
 

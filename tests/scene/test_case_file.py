@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import pytest
@@ -213,3 +213,18 @@ def test_huge_binary_and_special_files(tmp_path: Path) -> None:
         load_case(path)
     with pytest.raises(CaseFileError, match="no such case"):
         load_case("/dev/zero")
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"gravity": (0.0, 0.0)}, r"Scene\.gravity\[2\]: Field required"),
+        ({"gravity": (0.0, 0.0, float("nan"))}, r"Scene\.gravity\[2\] = nan"),
+        ({"title": "two\nlines"}, "one line"),
+        ({"weight": 1.0}, r"Scene\.weight"),
+    ],
+)
+def test_a_scene_made_in_python_is_checked_like_a_file(change: dict[str, object], told: str) -> None:
+    scene = parse_case(GOOD, name="sample")
+    with pytest.raises(InputError, match=told):
+        Scene(**({f.name: getattr(scene, f.name) for f in fields(scene)} | change))  # type: ignore[arg-type]
