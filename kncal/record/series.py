@@ -8,7 +8,7 @@ folder again; rows that it computes anew replace the old ones when the folder is
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -40,8 +40,9 @@ UNITS: Mapping[str, str] = {
     "overlap_mean": "m", "contacts": "-", "reaction_error": "-", "not_passed": "-", "solids_error": "-",
     "eps_g_min": "-", "courant_max": "-",
 }  # fmt: skip
-_PER_COUPLING = ("histogram", "watched", "impacts", "impact_sums")
-_FRAMES = ("frame_coupling", "t_frame", "x", "v", "eps_g", "p", "U")
+_PER_COUPLING = ("rows", "histogram", "watched", "impacts", "impact_sums")
+_PER_FRAME = ("frame_coupling", "t_frame", "x", "v")
+_PER_GAS_FRAME = ("eps_g", "p", "U")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,10 +134,8 @@ class SeriesWriter:
         else:
             write_json(folder / "facts.json", asdict(facts))
         self._number = 1 + max((_piece_number(path) for path in folder.glob("piece-*.npz")), default=-1)
-        self._rows: list[tuple[float, ...]] = []
-        self._histograms: list[NDArray[np.int64]] = []
-        self._impacts: list[tuple[float, NDArray[np.int32], Array]] = []
-        self._frames: list[tuple[NDArray[Any], ...]] = []
+        self._shapes = _shapes(facts)
+        self._kept: dict[str, list[Any]] = {name: [] for name in self._shapes}
         self._bytes = 0
         self._written_at = time.monotonic()
 
@@ -185,60 +184,47 @@ class SeriesWriter:
             row["drag_z"] = float(gas.force[:, 2].sum())
             row["reaction_error"] = gas.reaction_error / weight if weight else nan
             row["not_passed"] = gas.not_passed / weight if weight else nan
-        histogram = np.zeros(len(facts.histogram_edges) - 1, dtype=np.int64)
-        watched, impacts, sums = 0.0, np.zeros((2, facts.impact_bins), dtype=np.int32), np.zeros((2, 3))
+        kept: dict[str, Any] = {}
         if dem is not None:
             row |= {name: getattr(dem, name) for name in ("overlap_max", "overlap_mean", "contacts")}
             row |= {"floor": dem.floor_force, "walls": dem.other_walls_force}
-            histogram = np.array(dem.histogram, dtype=np.int64)
-            if facts.impact_edges:
-                watched, impacts, sums = dem.watched, np.array(dem.impacts, dtype=np.int32), dem.impact_sums.copy()
-        self._rows.append(tuple(row[name] for name in UNITS))
-        self._histograms.append(histogram)
-        self._impacts.append((watched, impacts, sums))
-        self._bytes += 8 * (len(UNITS) + len(histogram) + facts.impact_bins + 7)
+            kept |= {"histogram": dem.histogram, "watched": dem.watched}
+            kept |= {"impacts": dem.impacts, "impact_sums": dem.impact_sums}
+        kept["rows"] = [row[name] for name in UNITS]
+        self._keep(_PER_COUPLING, kept)
+
+    def _keep(self, names: Iterable[str], values: Mapping[str, Any]) -> None:
+        """Take a copy of one value of each of these arrays; zeros where there is none."""
+        for name in names:
+            kind, shape = self._shapes[name]
+            value = np.array(values[name], dtype=kind) if name in values else np.zeros(shape, dtype=kind)
+            self._kept[name].append(value)
+            self._bytes += value.nbytes
 
     def frame(self, coupling: int, x: Array, v: Array, fields: GasFields | None) -> None:
         """Record a frame after coupling ``coupling`` (0: the start), before the next `add`; copies what it is given.
 
         ``x``, ``v`` as in `add`; ``fields`` None without gas.
         """
-        nx, ny, nz = self.facts.cells
-        gas = (np.empty((0, nz, ny, nx)), np.empty((0, nz, ny, nx)), np.empty((0, nz, ny, nx, 3)))
+        time = coupling * self.facts.coupling
+        self._keep(_PER_FRAME, {"frame_coupling": coupling, "t_frame": time, "x": x, "v": v})
         if fields is not None:
-            gas = (fields.eps_g[None], fields.p[None], fields.U[None])
-        frame = (
-            np.array([coupling], dtype=np.int64),
-            np.array([coupling * self.facts.coupling]),
-            *(np.array(array, dtype=np.float32) for array in (x[None], v[None], *gas)),
-        )
-        self._frames.append(frame)
-        self._bytes += sum(array.nbytes for array in frame)
+            self._keep(_PER_GAS_FRAME, {name: getattr(fields, name) for name in _PER_GAS_FRAME})
 
     def flush(self) -> None:
         """Bring everything so far to the disk. Call it before saving a checkpoint."""
         self._written_at = time.monotonic()
-        if not self._rows and not self._frames:
+        if not self._kept["rows"] and not self._kept["frame_coupling"]:
             return
-        arrays: dict[str, NDArray[Any]] = {
-            "rows": np.array(self._rows, dtype=np.float64).reshape(-1, len(UNITS)),
-            "histogram": np.array(self._histograms, dtype=np.int64).reshape(-1, len(self.facts.histogram_edges) - 1),
-            "watched": np.array([watched for watched, _, _ in self._impacts]),
-            "impacts": np.array([impacts for _, impacts, _ in self._impacts], dtype=np.int32).reshape(
-                len(self._impacts), 2, self.facts.impact_bins
-            ),
-            "impact_sums": np.array([sums for _, _, sums in self._impacts]).reshape(-1, 2, 3),
+        arrays = {
+            name: np.array(values, dtype=self._shapes[name][0]).reshape(len(values), *self._shapes[name][1])
+            for name, values in self._kept.items()
         }
-        if self._frames:
-            arrays |= {
-                name: np.concatenate(parts)
-                for name, parts in zip(_FRAMES, zip(*self._frames, strict=True), strict=True)
-            }
         path = self.folder / f"piece-{self._number:05d}.npz"
         with replacing(path) as file:
             np.savez(file, allow_pickle=False, **arrays)
         self._number += 1
-        self._rows, self._histograms, self._impacts, self._frames, self._bytes = [], [], [], [], 0
+        self._kept, self._bytes = {name: [] for name in self._shapes}, 0
 
     def close(self) -> None:
         """Write what is left; may be called twice."""
@@ -327,16 +313,14 @@ def _before(coupling: int, piece: dict[str, NDArray[Any]]) -> dict[str, NDArray[
     rows = piece["rows"][:, 0] < coupling
     frames = piece["frame_coupling"] < coupling
     gas = frames if len(piece["eps_g"]) else np.zeros(0, dtype=bool)
-    masks = dict.fromkeys(("rows", *_PER_COUPLING), rows) | {"eps_g": gas, "p": gas, "U": gas}
-    return {name: array[masks.get(name, frames)] for name, array in piece.items()}
+    masks = dict.fromkeys(_PER_COUPLING, rows) | dict.fromkeys(_PER_FRAME, frames) | dict.fromkeys(_PER_GAS_FRAME, gas)
+    return {name: array[masks[name]] for name, array in piece.items()}
 
 
-def _read_piece(path: Path, facts: BedFacts) -> dict[str, NDArray[Any]]:
-    """Read one piece; every array is there, with zero frames if the piece has none, and has the shape it must have."""
-    arrays = read_npz(path, MAX_PIECE_BYTES)
+def _shapes(facts: BedFacts) -> dict[str, tuple[type[np.generic], tuple[int, ...]]]:
+    """Return kind and shape of one value of every array in a piece."""
     nx, ny, nz = facts.cells
-    field_shape = (nz, ny, nx)
-    shapes: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
+    return {
         "rows": (np.float64, (len(UNITS),)),
         "histogram": (np.int64, (len(facts.histogram_edges) - 1,)),
         "watched": (np.float64, ()),
@@ -346,18 +330,25 @@ def _read_piece(path: Path, facts: BedFacts) -> dict[str, NDArray[Any]]:
         "t_frame": (np.float64, ()),
         "x": (np.float32, (facts.count, 3)),
         "v": (np.float32, (facts.count, 3)),
-        "eps_g": (np.float32, field_shape),
-        "p": (np.float32, field_shape),
-        "U": (np.float32, (*field_shape, 3)),
+        "eps_g": (np.float32, (nz, ny, nx)),
+        "p": (np.float32, (nz, ny, nx)),
+        "U": (np.float32, (nz, ny, nx, 3)),
     }
+
+
+def _read_piece(path: Path, facts: BedFacts) -> dict[str, NDArray[Any]]:
+    """Read one piece; every array is there, without rows if the piece has none, and has the shape it must have."""
+    arrays, shapes = read_npz(path, MAX_PIECE_BYTES), _shapes(facts)
     for name, (kind, shape) in shapes.items():
-        array = arrays.setdefault(name, np.zeros((0, *shape), dtype=kind))
+        if name not in arrays:
+            raise ReadError(f"{path}: no {name}; expected {', '.join(shapes)}")
+        array = arrays[name]
         if array.dtype != kind or array.shape[1:] != shape:
             raise ReadError(f"{path}: {name} is {array.dtype} {array.shape}; expected {kind.__name__} (any, {shape})")
-        if name in _PER_COUPLING and len(array) != len(arrays["rows"]):
-            raise ReadError(
-                f"{path}: {name} of {len(array)} couplings; expected {len(arrays['rows'])}, as many as rows"
-            )
+    for names in (_PER_COUPLING, _PER_FRAME, _PER_GAS_FRAME):
+        lengths = {name: len(arrays[name]) for name in names}
+        if len(set(lengths.values())) > 1:
+            raise ReadError(f"{path}: arrays of unequal length: {lengths}; expected as many of each")
     if not len(arrays["rows"]) and not len(arrays["frame_coupling"]):
         raise ReadError(f"{path}: empty; expected rows or frames")
     return {name: arrays[name] for name in shapes}

@@ -250,20 +250,16 @@ FACTS = BedFacts(
 
 
 def piece(folder: Path) -> bytes:
-    from kncal.record.series import UNITS
+    good = folder / "good" / "piece-00000.npz"
+    if not good.exists():
+        from kncal.record.series import SeriesWriter
 
-    rows = np.zeros((2, len(UNITS)))
-    rows[:, 0] = (1, 2)
-    np.savez(
-        folder / "good.npz",
-        rows=rows,
-        histogram=np.zeros((2, 2), np.int64),
-        frame_coupling=np.array([1]),
-        t_frame=np.array([1e-3]),
-        x=np.zeros((1, 2, 3), np.float32),
-        v=np.zeros((1, 2, 3), np.float32),
-    )
-    return (folder / "good.npz").read_bytes()
+        x = np.full((2, 3), 0.5)
+        with SeriesWriter(good.parent, FACTS) as writer:
+            writer.add(1, 0.5, None, None, x, x)
+            writer.frame(1, x, x, None)
+            writer.add(2, 0.5, None, None, x, x)
+    return good.read_bytes()
 
 
 @pytest.fixture(scope="module")
