@@ -22,10 +22,14 @@ from kncal.core.errors import (
 )
 from kncal.core.files import write_json
 from kncal.core.scratch import scratch
-from kncal.engines.base import Engine, Progress, Tell, run_result
+from kncal.engines.base import Engine, Profile, Progress, Tell
 from kncal.observe.compare import Comparison, compare
 from kncal.observe.run_data import RunData
+from kncal.observe.truth import exact_metrics, exact_motion, predicted_errors
 from kncal.record.outcome import RunResult
+from kncal.report.comparison import write_report
+from kncal.report.overview import context_of
+from kncal.report.tables import export_paraview, export_tables
 from kncal.runs.folder import (
     REPORT,
     case_folder,
@@ -165,12 +169,7 @@ def run_case(
     check_options(scene, repeat=repeat)
     if timeout is not None:
         positive("timeout", timeout, unit="s")
-    engine.check(scene)
-    profile = engine.profile()
-    if profile.program is None:
-        raise SolverMissingError(profile.problem)
-    if profile.warning:
-        logging.getLogger("kncal").warning("kncal: %s", profile.warning)
+    profile = _looked_for(engine, scene)
     results: dict[str, RunResult] = {}
     samples: dict[str, list[float]] = {kind: [] for kind in KINDS}
     try:
@@ -194,7 +193,15 @@ def run_case(
             for kind in [kind for kind in it.models if kind not in results] * repeat:
                 progress = progress_for(kind) if progress_for else None
                 with started(out / kind):  # a result of an earlier repeat would vouch for what this one is writing
-                    result = _run(it, engine, kind, out / kind, timeout, progress)
+                    result = engine.run(
+                        it.models[kind],
+                        out / kind,
+                        start=it.start,
+                        timeout=timeout,
+                        progress=progress,
+                        resume=it.earlier[kind].action == "resume",
+                        pass_fds=(it.lock,),
+                    )
                     samples[kind].append(result.cpu_seconds)
                     extra = {**result.extra, "cpu_samples": list(samples[kind])}
                     extra |= {"warning": profile.warning} if profile.warning else {}
@@ -207,17 +214,15 @@ def run_case(
     return {kind: results[kind] for kind in KINDS if kind in results}
 
 
-def _run(
-    it: _Rendered, engine: Engine, kind: str, folder: Path, timeout: float | None, progress: Progress | None
-) -> RunResult:
-    """Run one model; one that the user stops has a result, too."""
-    model, resume = it.models[kind], it.earlier[kind].action == "resume"
-    try:
-        return engine.run(
-            model, folder, start=it.start, timeout=timeout, progress=progress, resume=resume, pass_fds=(it.lock,)
-        )
-    except KeyboardInterrupt:
-        return run_result(engine.name, model, folder, "interrupted", message="stopped by the user")
+def _looked_for(engine: Engine, scene: Scene | BedScene) -> Profile:
+    """Return what this machine has of an engine; refuse a scene that it cannot run, or solvers that are missing."""
+    engine.check(scene)
+    profile = engine.profile()
+    if profile.program is None:
+        raise SolverMissingError(profile.problem)
+    if profile.warning:
+        logging.getLogger("kncal").warning("kncal: %s", profile.warning)
+    return profile
 
 
 def require_completed(results: Iterable[RunResult]) -> None:
@@ -295,8 +300,6 @@ def compare_case(out: Path, report: Path | None = None) -> tuple[Comparison, Pat
 
 def complete(data: RunData) -> RunData:
     """Add the exact motion and metrics of the same model, where they exist, and the predicted discretisation error."""
-    from kncal.observe.truth import exact_metrics, exact_motion, predicted_errors
-
     if data.contacts is None:
         return data
     motion = exact_motion(data.model)
@@ -317,8 +320,6 @@ def remarks(data: RunData) -> tuple[str, ...]:
 
 def export(data: RunData, *, paraview: bool = False) -> None:
     """Write a run's numbers into its folder for other programs: tables, and frames for ParaView if asked for."""
-    from kncal.report.tables import export_paraview, export_tables
-
     if data.contacts is not None:  # of signals the table is there since the run
         export_tables(data)
     if paraview:
@@ -327,9 +328,6 @@ def export(data: RunData, *, paraview: bool = False) -> None:
 
 def report_on(comparison: Comparison, folder: Path) -> Path:
     """Write the report of a comparison, with every table that its scene allows; returns the page's path."""
-    from kncal.report.comparison import write_report
-    from kncal.report.overview import context_of
-
     runs = comparison.runs
     models: dict[str, Any] = {r.model.kind: r.model for r in runs}
     return write_report(
