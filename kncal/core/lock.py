@@ -1,4 +1,4 @@
-"""One owner of a run folder: a lock that lives as long as the run, and as a solver that outlives it.
+"""Locks. One owner of a run folder: a lock that lives as long as the run, and as a solver that outlives it.
 
 The lock is an ``flock`` on ``OUT/.lock``. Its descriptor is handed on to the solver, so a folder stays taken while an
 orphan still writes into it. The file itself stays: removing it would let two starts lock two files.
@@ -7,16 +7,18 @@ orphan still writes into it. The file itself stays: removing it would let two st
 from __future__ import annotations
 
 import fcntl
+import math
 import os
 import socket
 import stat
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from kncal.core.awake import awake
 from kncal.core.errors import RenderError
+from kncal.core.stopping import check_stop
 
 LOCK = ".lock"
 _INSTANT = 0.5  # s
@@ -45,7 +47,7 @@ def locked(out: Path) -> Iterator[int]:
         if not stat.S_ISREG(os.fstat(descriptor).st_mode):
             raise RenderError(f"{path}: not a regular file, so no lock of kncal; remove it, or choose another --out")
         try:
-            _lock(descriptor)
+            _take(descriptor, _INSTANT)  # who only looks whether it is held holds it for an instant, too
         except BlockingIOError as error:
             owner = signed(descriptor)
             raise FolderInUseError(
@@ -72,15 +74,34 @@ def sign(descriptor: int) -> None:
     os.pwrite(descriptor, f"pid {os.getpid()} on {socket.gethostname()}, started {started}\n".encode(), 0)
 
 
-def _lock(descriptor: int) -> None:
-    """Take the lock; who only looks whether it is held (`kncal.runs.states.holder`) holds it for an instant, too."""
-    deadline = awake() + _INSTANT
+@contextmanager
+def only_one(path: Path, limit: float = math.inf, waiting: Callable[[], None] | None = None) -> Iterator[None]:
+    """Hold a lock on the file ``path`` (made if missing), after whoever holds it; ``waiting`` is called if one does.
+
+    The lock goes with the process that holds it, however that ends.
+
+    Raises
+    ------
+    BlockingIOError
+        If it is still held after ``limit`` [s].
+    """
+    with path.open("w") as file:
+        _take(file.fileno(), limit, waiting)
+        yield
+
+
+def _take(descriptor: int, limit: float, waiting: Callable[[], None] | None = None) -> None:
+    deadline = awake() + limit
     while True:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             if awake() > deadline:
                 raise
-            time.sleep(0.01)
+            if waiting is not None:
+                waiting()
+                waiting = None
+            check_stop()
+            time.sleep(0.02)
         else:
             return

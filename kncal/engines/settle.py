@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import json
 import logging
 import math
 import os
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import timedelta
 from functools import partial
@@ -23,6 +20,7 @@ from kncal.core.awake import awake
 from kncal.core.checks import Array
 from kncal.core.errors import InputError, ReadError, RunError
 from kncal.core.files import replacing, sweep_parts
+from kncal.core.lock import only_one
 from kncal.core.scratch import scratch
 from kncal.core.shipped import cache_folder
 from kncal.core.stopping import check_stop
@@ -115,28 +113,13 @@ def packing(
     cache_dir.mkdir(parents=True, exist_ok=True)
     path = cache_dir / f"{_key(model, start)}.npz"
     sweep_parts(cache_dir)
-    with _only_one(path):  # many runs of a sweep may want the same packing at once
+    with only_one(path.with_suffix(".lock")):  # many runs of a sweep may want the same packing at once
         kept = _load(path, scene)
         if kept is not None:
             return kept
         settled = _settle(model, start, tell or _silent, progress)
         _store(path, settled)
         return settled
-
-
-@contextmanager
-def _only_one(path: Path) -> Iterator[None]:
-    """Hold the lock of a cached packing."""
-    with path.with_suffix(".lock").open("w") as lock:
-        while True:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                check_stop()
-                time.sleep(0.05)
-            else:
-                break
-        yield
 
 
 def _silent(_: str) -> None:

@@ -6,7 +6,6 @@ in its source package only. Nothing is installed, and the machine's apt configur
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import os
 import re
@@ -14,13 +13,12 @@ import shutil
 import subprocess
 import tarfile
 import tempfile
-import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from kncal.core.awake import awake, run_within
+from kncal.core.awake import run_within
 from kncal.core.errors import KncalError
+from kncal.core.lock import only_one
 from kncal.core.process import ProcessResult, run_process, solver_environment
 from kncal.core.shipped import cache_folder
 
@@ -110,23 +108,32 @@ def build(cache_dir: Path | None = None, progress: Progress | None = None) -> Pa
         place.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError as error:
         raise AdapterError(f"{place}: cannot be made ({error.strerror}); set XDG_CACHE_HOME") from error
-    with _only_builder(place / "lock", say):
-        if library.is_file():
-            return library  # the builder that was waited for made it
-        for left in place.glob(f"{_SCRATCH}*"):
-            shutil.rmtree(left)  # of a builder that was killed: none is alive, the lock is ours
-        with tempfile.TemporaryDirectory(prefix=_SCRATCH, dir=place) as name:
-            scratch = Path(name)
-            say("downloading OpenFOAM's source package (45 MB)")
-            tarball = download_source(scratch)
-            say("unpacking its headers")
-            headers = scratch / "headers"
-            unpack_headers(tarball, headers)
-            say("compiling the adapter")
-            made = scratch / LIBRARY
-            compile_adapter(SOURCE, headers, made)
-            made.replace(library)
+    try:
+        with only_one(place / "lock", _LONG, lambda: say("waiting for another build of the adapter")):
+            _build(library, say)
+    except BlockingIOError as error:
+        text = f"{place / 'lock'}: another build has held it for {_LONG:g} s; end that one"
+        raise AdapterError(text) from error
     return library
+
+
+def _build(library: Path, say: Progress) -> None:
+    """Build the library, whose folder is held."""
+    if library.is_file():
+        return  # the builder that was waited for made it
+    for left in library.parent.glob(f"{_SCRATCH}*"):
+        shutil.rmtree(left)  # of a builder that was killed: none is alive, the lock is ours
+    with tempfile.TemporaryDirectory(prefix=_SCRATCH, dir=library.parent) as name:
+        scratch = Path(name)
+        say("downloading OpenFOAM's source package (45 MB)")
+        tarball = download_source(scratch)
+        say("unpacking its headers")
+        headers = scratch / "headers"
+        unpack_headers(tarball, headers)
+        say("compiling the adapter")
+        made = scratch / LIBRARY
+        compile_adapter(SOURCE, headers, made)
+        made.replace(library)
 
 
 def download_source(scratch: Path) -> Path:
@@ -251,25 +258,6 @@ def _default_cache() -> Path:
         return cache_folder()
     except FileNotFoundError as error:
         raise AdapterError(f"nowhere to keep the adapter: {error}") from error
-
-
-@contextmanager
-def _only_builder(path: Path, say: Progress) -> Iterator[None]:
-    """Hold the lock of a library's folder; it goes with the process that holds it, however that ends."""
-    with path.open("w") as lock:
-        deadline, told = awake() + _LONG, False
-        while True:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                break
-            except BlockingIOError as error:
-                if awake() > deadline:
-                    raise AdapterError(f"{path}: another build has held it for {_LONG:g} s; end that one") from error
-            if not told:
-                say("waiting for another build of the adapter")
-                told = True
-            time.sleep(0.1)
-        yield
 
 
 def _environment() -> dict[str, str]:
