@@ -20,6 +20,7 @@ from math import sqrt
 import numpy as np
 
 from kncal.core.errors import RenderError, RunError
+from kncal.engines.plan_checks import check_contact, check_schedule
 from kncal.engines.tunnelling import PASSED_THROUGH
 from kncal.physics.material import sphere_mass
 from kncal.physics.normal_force import Force, normal_force
@@ -174,22 +175,13 @@ def check(model: Plan) -> None:
         For rolling friction, and for numbers that make no run (a step or stiffness that is not positive ...).
     """
     for names, contact in model.named.items():
-        who = "–".join(names)
         if contact.rolling_friction > 0.0:
             raise RenderError(
-                f"{who}: rolling_friction = {contact.rolling_friction:g}: the builtin engine has no rolling "
-                "friction: expected 0, or the engine liggghts"
+                f"{'–'.join(names)}: rolling_friction = {contact.rolling_friction:g}: the builtin engine has no "
+                "rolling friction: expected 0, or the engine liggghts"
             )
-        numbers = {"k": contact.k, "c": contact.c, "friction": contact.friction, "k_t": contact.k_t}
-        for name, value in numbers.items():
-            if not 0.0 <= value < math.inf or (name == "k" and value == 0.0):
-                raise RenderError(f"{who}: {name} = {value:g}: expected a finite number above 0 (k) or not below 0")
-    counts = {"n_steps": model.n_steps, "record_every": model.record_every, "flight_every": model.flight_every}
-    for name, count in counts.items():
-        if count < 1:
-            raise RenderError(f"{name} = {count}: expected at least 1")
-    if not 0.0 < model.dt < math.inf:
-        raise RenderError(f"dt = {model.dt:g}: expected a positive time step [s]")
+        check_contact(names, contact)
+    check_schedule(model)
 
 
 def _trajectory(model: Plan, counted: array[int], frames: tuple[array[float], ...]) -> Trajectory:
@@ -233,11 +225,7 @@ def _wall_contact(model: Plan, contact: PairContact, motion: _Motion, i: int, wa
     axis = AXES.index(wall.axis)
     n, b, c = 3 * i + axis, 3 * i + (axis + 1) % 3, 3 * i + (axis + 2) % 3
     side = 1.0 if x[n] > plane else -1.0
-    law, mu, spring = (
-        normal_force(contact.k, contact.n, contact.c, contact.p, cut=contact.end == "force"),
-        contact.friction,
-        _spring(contact),
-    )
+    law, mu, spring = _law(contact), contact.friction, _spring(contact)
     who = f"{model.scene.spheres[i].name}–{wall.name}"
     s_b = s_c = 0.0
 
@@ -280,11 +268,7 @@ def _pair_contact(model: Plan, contact: PairContact, motion: _Motion, i: int, j:
     r_i, r_j = float(first.radius), float(second.radius)
     r_sum, nearest = r_i + r_j, max(r_i, r_j)
     i0, i1, i2, j0, j1, j2 = 3 * i, 3 * i + 1, 3 * i + 2, 3 * j, 3 * j + 1, 3 * j + 2
-    law, mu, friction = (
-        normal_force(contact.k, contact.n, contact.c, contact.p, cut=contact.end == "force"),
-        contact.friction,
-        _PairFriction(contact, motion, i, j),
-    )
+    law, mu, friction = _law(contact), contact.friction, _PairFriction(contact, motion, i, j)
     who = f"{first.name}–{second.name}"
 
     def apply(moving: bool) -> float:

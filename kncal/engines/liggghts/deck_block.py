@@ -10,8 +10,8 @@ from kncal.core.checks import in_range, instance, one_of, plain_name, single
 from kncal.core.errors import CaseFileError, InputError, ValidityError
 from kncal.core.shipped import folder as shipped_folder
 from kncal.core.templating import render
-from kncal.engines.liggghts.deck_checks import expect
 from kncal.engines.liggghts.deck_tables import STYLES, AtomType, atom_types, contact_context
+from kncal.engines.plan_checks import expect
 from kncal.physics.matrix import PairMatrix
 from kncal.physics.timestep import usual_steps
 from kncal.scene.model import PairContact

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from kncal.core.errors import RenderError
+from kncal.engines.plan_checks import check_schedule, expect
 from kncal.physics.laws import LAWS
 from kncal.scene.bodies import AXES, Particle, Vector
 from kncal.scene.model import PairContact, Plan
@@ -16,13 +17,6 @@ MOST_STEPS = 2**31 - 1
 ROUNDING = 1e-9
 #: A periodic column is at least so many diameters deep: no particle may touch another and its image.
 LEAST_PERIODIC = 3.0
-
-
-def expect(condition: bool, where: object, what: str, expected: str) -> None:
-    """Raise `RenderError` unless ``condition``; ``where`` is a pair of names or one name."""
-    if not condition:
-        place = f"pair {where[0]}, {where[1]}" if isinstance(where, tuple) else str(where)
-        raise RenderError(f"{place}: {what}: expected {expected}")
 
 
 def expect_same(names: tuple[str, str], what: str, given: float, applied: float, meaning: str) -> None:
@@ -40,17 +34,6 @@ def expect_vector(where: str, what: str, vector: Vector) -> None:
     expect(good, where, f"{what} = {vector!r}", "three finite numbers")
 
 
-def check_contact(names: tuple[str, str], c: PairContact) -> None:
-    """Refuse a contact with a number out of its range."""
-    for key in ("k", "m_eff", "R_eff", "E_eff", "G_eff"):
-        value = getattr(c, key)
-        expect(math.isfinite(value) and value > 0.0, names, f"{key} = {value!r}", "a finite value > 0")
-    for key in ("c", "friction", "rolling_friction", "k_t"):
-        value = getattr(c, key)
-        expect(math.isfinite(value) and value >= 0.0, names, f"{key} = {value!r}", "a finite value >= 0")
-    expect(c.end in ("overlap", "force"), names, f"contact end {c.end!r}", "'overlap' or 'force'")
-
-
 def check_run(name: str, kind: str, kind_of_style: str, dt: float, steps: int | None) -> None:
     """Refuse a model, a time step or a number of steps that LIGGGHTS would run all the same."""
     expect(kind == kind_of_style, name, f"model kind {kind!r}", f"{kind_of_style!r}")
@@ -60,12 +43,14 @@ def check_run(name: str, kind: str, kind_of_style: str, dt: float, steps: int | 
 
 def check_model(model: Plan) -> None:
     """Refuse a recording schedule that is none, or a model without exactly one contact for every pair."""
-    name, every = model.scene.name, model.record_every
-    expect(every >= 1, name, f"record_every = {every}", "at least 1 step")
-    flight = f"flight_every = {model.flight_every}"
-    expect(model.flight_every >= every, name, flight, f"at least record_every = {every}")
+    check_schedule(model)
     wanted = {pair for pair in model.species.pairs() if model.species.meetings(pair)}
-    expect(wanted == set(model.contacts), name, "contacts of other pairs than the scene's", "one contact per pair")
+    expect(
+        wanted == set(model.contacts),
+        model.scene.name,
+        "contacts of other pairs than the scene's",
+        "one contact per pair",
+    )
 
 
 def check_bed(model: Plan) -> None:

@@ -15,7 +15,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from kncal.core.errors import RenderError
-from kncal.engines.liggghts.deck_checks import ROUNDING, check_contact, expect, expect_same, require_law
+from kncal.engines.liggghts.deck_checks import ROUNDING, expect_same, require_law
+from kncal.engines.plan_checks import check_contact, expect
 from kncal.physics.material import Material, pair, wall_pair
 from kncal.scene.bodies import Particle
 from kncal.scene.model import PairContact

@@ -24,9 +24,9 @@ from kncal.core.errors import InputError, RunError, SolverMissingError
 from kncal.core.process import ProcessResult, signal_name, solver_environment
 from kncal.core.solver_process import PeerLostError, SolverProcess
 from kncal.engines.liggghts.deck import DECK, RESTART, bed_deck, write_deck
-from kncal.engines.liggghts.deck_checks import expect
 from kncal.engines.liggghts.impacts import Side, speed_edges
 from kncal.engines.liggghts.library_child import LIBRARY, SAVED_FORCES, VARIABLE, Shared, histogram_edges
+from kncal.engines.plan_checks import expect
 from kncal.record.steps import DemStep
 from kncal.scene.model import Plan
 from kncal.scene.scene import Scene
