@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from kncal.core.errors import RenderError
-from kncal.scene.model import Model, PairContact
+from kncal.scene.model import PairContact, Plan
 
 
 def expect(condition: bool, where: object, what: str, expected: str) -> None:
@@ -26,7 +26,7 @@ def check_contact(names: tuple[str, str], c: PairContact) -> None:
     expect(c.end in ("overlap", "force"), names, f"contact end {c.end!r}", "'overlap' or 'force'")
 
 
-def check_schedule(model: Model) -> None:
+def check_schedule(model: Plan) -> None:
     """Refuse a time step, a number of steps or a recording schedule that is none."""
     name, every = model.scene.name, model.record_every
     expect(math.isfinite(model.dt) and model.dt > 0.0, name, f"dt = {model.dt!r} s", "a finite dt > 0")

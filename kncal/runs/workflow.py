@@ -214,7 +214,7 @@ def run_case(
     return {kind: results[kind] for kind in KINDS if kind in results}
 
 
-def _looked_for(engine: Engine, scene: Scene | BedScene) -> Profile:
+def _looked_for(engine: Engine, scene: Scene) -> Profile:
     """Return what this machine has of an engine; refuse a scene that it cannot run, or solvers that are missing."""
     engine.check(scene)
     profile = engine.profile()
