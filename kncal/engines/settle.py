@@ -27,6 +27,7 @@ from kncal.core.stopping import check_stop
 from kncal.engines.base import Progress, Tell
 from kncal.engines.liggghts.deck import bed_deck, data_text, deck_text
 from kncal.engines.liggghts.library import LiggghtsDem
+from kncal.scene.box_limits import places
 from kncal.scene.model import Plan
 from kncal.scene.placement import PLACEMENTS
 from kncal.scene.plan import MOST_STEPS, plan
@@ -226,13 +227,10 @@ def _load(path: Path, scene: Scene) -> Array | None:
     """Return the kept packing; None, with a warning, if the file is damaged: then it is made anew."""
     if not os.path.lexists(path):
         return None
-    count, box = scene.group.number, scene.box
     try:
         positions = np.asarray(read_npz(path, _MOST_BYTES)["positions"], dtype=np.float64)
-        if positions.shape != (count, 3):
-            raise ReadError(f"shape {positions.shape}, expected ({count}, 3)")
-        if not ((positions >= 0.0) & (positions <= box.size)).all():
-            raise ReadError("positions outside the column")
+        if wrong := next(places(scene, positions), None):
+            raise ReadError(wrong.message)
     except (ReadError, KeyError) as error:
         logging.getLogger("kncal").warning("%s: damaged (%s); the packing is made anew", path, error)
         return None

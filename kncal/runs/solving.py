@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import Any
 
 from kncal.core.errors import CaseFileError, InputError, ReadError
 from kncal.engines.base import read_frames
@@ -14,6 +13,7 @@ from kncal.record.outcome import RunResult
 from kncal.record.series import PIECES, read_series
 from kncal.runs.records import RESULT
 from kncal.scene.limits import findings_of
+from kncal.scene.model import Plan
 from kncal.scene.plan import plan
 from kncal.scene.scene import Scene
 
@@ -34,7 +34,7 @@ def check_options(scene: Scene, *, engine: str = "liggghts", transport: str = "a
             raise InputError(f"--{name} has no meaning for {what}: leave it out")
 
 
-def plan_checked(scene: Scene, kinds: Iterable[str], *, beyond: bool = False) -> Mapping[str, Any]:
+def plan_checked(scene: Scene, kinds: Iterable[str], *, beyond: bool = False) -> Mapping[str, Plan]:
     """Return the plans of a scene by kind, refused where a limit says so (the rest: `kncal.scene.limits.warnings_of`).
 
     ``beyond``: limits are not asked.
@@ -62,7 +62,7 @@ def read_run(scene: Scene, result: RunResult) -> RunData:
         If its files are damaged, or of another plan.
     """
     folder = result.folder
-    model: Any = plan(scene, (result.model,))[result.model]
+    model = plan(scene, (result.model,))[result.model]
     # another machine's logarithm may differ in the last digit of dt
     for key, found, value, off in (("steps", result.steps, model.n_steps, 0.0), ("dt", result.dt, model.dt, 1e-12)):
         if not math.isclose(found, value, rel_tol=off):

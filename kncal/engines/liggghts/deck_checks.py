@@ -9,7 +9,7 @@ from kncal.engines.plan_checks import check_schedule, expect
 from kncal.physics.laws import LAWS
 from kncal.scene.bodies import AXES, Particle, Vector
 from kncal.scene.model import PairContact, Plan
-from kncal.scene.scene import DEPTHS, Scene
+from kncal.scene.scene import Scene
 
 #: LIGGGHTS counts the steps of one `run` in 32 bits.
 MOST_STEPS = 2**31 - 1
@@ -57,7 +57,6 @@ def check_bed(model: Plan) -> None:
     """Refuse what LIGGGHTS would run without a word: numbers of the bed, a missing contact, a thin periodic column."""
     scene, box, d = model.scene, model.scene.box, model.scene.group.diameter
     name, gravity = scene.name, scene.g
-    expect(scene.front_back in DEPTHS, name, f"front_back {scene.front_back!r}", f"one of {', '.join(DEPTHS)}")
     expect(math.isfinite(d) and d > 0.0, name, f"diameter = {d!r} m", "a finite diameter > 0")
     expect(math.isfinite(gravity) and gravity >= 0.0, name, f"gravity = {gravity!r} m/s²", "a finite value >= 0")
     for pair in model.species.pairs():

@@ -26,8 +26,8 @@ from kncal.core.solver_process import PeerLostError, SolverProcess
 from kncal.engines.liggghts.deck import DECK, RESTART, bed_deck, write_deck
 from kncal.engines.liggghts.impacts import Side, speed_edges
 from kncal.engines.liggghts.library_child import LIBRARY, SAVED_FORCES, VARIABLE, Shared, histogram_edges
-from kncal.engines.plan_checks import expect
 from kncal.record.steps import DemStep
+from kncal.scene.box_limits import places
 from kncal.scene.model import Plan
 from kncal.scene.scene import Scene
 
@@ -93,9 +93,9 @@ class LiggghtsDem:
                 _copy_saved(restart / name, folder / name)
             write_deck(bed_deck(model), folder)
         elif positions is not None:
-            x = _as_rows("positions", positions, self._count)
-            v = None if velocities is None else _as_rows("velocities", velocities, self._count)
-            _check_inside(model, x, v)
+            x = np.ascontiguousarray(positions, dtype=np.float64)
+            v = None if velocities is None else np.ascontiguousarray(velocities, dtype=np.float64)
+            _check_start(scene, x, v)
             write_deck(bed_deck(model, x, v), folder)
         else:
             raise InputError("positions: None, expected (n, 3) centres, or a restart folder")
@@ -280,22 +280,13 @@ def middle(scene: Scene) -> float:
     return 0.5 * scene.box.depth
 
 
-def _as_rows(name: str, value: Array, count: int) -> Array:
-    """Return ``value`` as a contiguous (count, 3) float array."""
-    rows = np.ascontiguousarray(value, dtype=np.float64)
-    expect(rows.shape == (count, 3), name, f"shape {rows.shape}", f"({count}, 3): one row per particle")
-    expect(bool(np.isfinite(rows).all()), name, "numbers that are not finite", "finite numbers")
-    return rows
-
-
-def _check_inside(model: Plan, x: Array, v: Array | None) -> None:
-    size = np.array(model.scene.box.size)
-    outside = np.flatnonzero(((x < 0.0) | (x > size)).any(axis=1))
-    if outside.size:
-        i = int(outside[0])
-        raise InputError(f"positions[{i}] = {x[i].tolist()}: expected a centre inside the column {size.tolist()} m")
-    if model.scene.layer:
-        y = middle(model.scene)
+def _check_start(scene: Scene, x: Array, v: Array | None) -> None:
+    if wrong := next(places(scene, x), None):
+        raise InputError(f"{scene.name}: {wrong.message}")
+    if v is not None and (v.shape != x.shape or not np.isfinite(v).all()):
+        raise InputError(f"velocities of shape {v.shape}: expected {x.shape}, finite")
+    if scene.layer:
+        y = middle(scene)
         if (x[:, 1] != y).any():
             raise InputError(f"positions: a layer lies in the plane y = depth/2 = {y!r} m, some are beside it")
         if v is not None and v[:, 1].any():
