@@ -235,7 +235,7 @@ def test_a_layer_off_its_plane_is_refused(tmp_path: Path) -> None:
         LiggghtsDem(given, tmp_path, x + np.array([0.0, 1e-12, 0.0]))
     with pytest.raises(InputError, match="plane"):
         LiggghtsDem(given, tmp_path, x, np.full_like(x, 1e-3))
-    with pytest.raises(InputError, match="inside the column"):
+    with pytest.raises(InputError, match="outside the column"):
         LiggghtsDem(given, tmp_path, x - np.array([0.1, 0.0, 0.0]))
 
 
