@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import os
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from kncal.core.errors import InterruptedRunError
-from kncal.scene.plan import plan
+from kncal.scene.scene import Scene
 from kncal.study.trade.averaged import Averaged
 from kncal.study.trade.budget import Budget
 from kncal.study.trade.resolved import Resolved
@@ -19,14 +17,14 @@ from kncal.study.trade.trials import Trials
 REST_SHARE, REST = 0.02, 5.0
 
 
-def trade_scene(case: str | Path, scene: Any, folder: Path, options: TradeOptions, tell: Tell) -> Trade:
+def trade_scene(case: str | Path, scene: Scene, folder: Path, options: TradeOptions, tell: Tell) -> Trade:
     """Trade speed for accuracy in a scene; what ``folder`` holds already is used, and continues where it stopped.
 
     Parameters
     ----------
     case, scene : the case, and what it describes
     folder : of the runs
-    options : with the tolerances to judge by; empty: those of the scene
+    options : with the tolerances to judge by
     tell : told what is done now
 
     Raises
@@ -40,8 +38,7 @@ def trade_scene(case: str | Path, scene: Any, folder: Path, options: TradeOption
     """
     budget = Budget(None if options.budget is None else options.budget - _rest(options.budget))
     load = os.getloadavg()[0]
-    options = replace(options, tolerances=dict(options.tolerances or scene.tolerances))
-    kind: type[Trials] = Averaged if plan(scene, ("hertz",))["hertz"].couplings else Resolved
+    kind: type[Trials] = Averaged if scene.coupled else Resolved
     trials = kind(case, scene, folder, options, budget, tell)
     try:
         trials.run()
@@ -56,7 +53,7 @@ def trade_scene(case: str | Path, scene: Any, folder: Path, options: TradeOption
         reference=reference,
         convergence=trials.convergence,
         points=tuple(points),
-        tolerances=options.tolerances,
+        tolerances=dict(options.tolerances),
         splits=trials.splits([point for point in points if point.completed]),
         caveats=tuple(trials.caveats(reference, points, load)),
         options=options,

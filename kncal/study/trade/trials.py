@@ -6,10 +6,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from kncal.observe.row import Row
 from kncal.observe.softness import secant, signs
+from kncal.scene.model import Plan
+from kncal.scene.scene import Scene
 from kncal.study.trade.budget import Budget
 from kncal.study.trade.runs import Runs
 from kncal.study.trade.trade import Candidate, Convergence, ErrorSplit, Tell, TradeOptions, TradePoint
@@ -39,11 +41,11 @@ class Trials(ABC):
     candidates: Sequence[Candidate]
 
     def __init__(
-        self, case: str | Path, scene: Any, folder: Path, options: TradeOptions, budget: Budget, tell: Tell
+        self, case: str | Path, scene: Scene, folder: Path, options: TradeOptions, budget: Budget, tell: Tell
     ) -> None:
         self.case, self.scene, self.folder = case, scene, folder
         self.options, self.budget, self.tell = options, budget, tell
-        self.models: dict[str, Any] = {}
+        self.models: dict[str, Plan] = {}
         self.refused: dict[str, TradePoint] = {}
 
     @abstractmethod

@@ -32,11 +32,13 @@ class PartKind:
     Attributes
     ----------
     name : what ``--parts`` calls it
-    find : from a scene and its contact model to the parts of this kind; none where the scene cannot have one
+    find : from a scene and its contact model to the parts of this kind
+    coupled : True: only coupled scenes have it; False: only the others; None: all
     """
 
     name: str
     find: Callable[[Scene, str], Iterable[Part]]
+    coupled: bool | None = None
 
 
 def parts_of(scene: Scene, model: str, groups: Iterable[str] | None = None) -> tuple[Part, ...]:
@@ -47,10 +49,9 @@ def parts_of(scene: Scene, model: str, groups: Iterable[str] | None = None) -> t
     InputError
         If a group is not one of this kind of case.
     """
-    found = {name: tuple(kind.find(scene, model)) for name, kind in PARTS.items()}
-    offered = [name for name, parts in found.items() if parts]
+    offered = [name for name, kind in PARTS.items() if kind.coupled in (None, scene.coupled)]
     wanted = offered if groups is None else [one_of("part", name, offered) for name in groups]
-    return tuple(part for name in offered if name in wanted for part in found[name])
+    return tuple(part for name in offered if name in wanted for part in PARTS[name].find(scene, model))
 
 
 def _part(name: str, text: str, change: str, tried: str, changes: Changes | None = None, *, model: str = "") -> Part:
@@ -61,7 +62,7 @@ def _not(name: str, text: str, why: str) -> Part:
     return Part(name=name, group=name, text=text, change=OFF, tried="", why_not=why)
 
 
-def _friction(name: str, text: str) -> Callable[[Any, str], Iterator[Part]]:
+def _friction(name: str, text: str) -> Callable[[Scene, str], Iterator[Part]]:
     """Forced off where it is used, on where there is something to force."""
 
     def find(scene: Scene, _: str) -> Iterator[Part]:
@@ -92,15 +93,13 @@ def _damping(scene: Scene, _: str) -> Iterator[Part]:
     yield _part("damping", text, OFF, "e_n = 1 in every contact", changes)
 
 
-def _contact_model(_: Any, model: str) -> Iterator[Part]:
+def _contact_model(_: Scene, model: str) -> Iterator[Part]:
     change, other, name = (OFF, "linear", "linear") if model == "hertz" else (ON, "hertz", "Hertz")
     yield _part("contact_model", "Hertz contact", change, f"the {name} contact", model=other)
 
 
 def _walls(scene: Scene, _: str) -> Iterator[Part]:
     text = "walls that nothing touches"
-    if scene.coupled:
-        return
     if names := untouched_walls(scene):
         yield _part("walls", text, OFF, f"without {', '.join(names)}", {f"walls.{name}": None for name in names})
     else:
@@ -108,8 +107,6 @@ def _walls(scene: Scene, _: str) -> Iterator[Part]:
 
 
 def _front_back(scene: Scene, _: str) -> Iterator[Part]:
-    if not scene.coupled:
-        return
     text, found = "front and back walls", scene.front_back
     if found == "layer":
         yield _not("front_back", text, "one layer of particles, held in its plane")
@@ -170,8 +167,6 @@ def _no_force(scene: Scene) -> str:
 
 def _drag(scene: Scene, _: str) -> Iterator[Part]:
     text = "drag law"
-    if not scene.coupled:
-        return
     if (why := _no_force(scene)) or scene.gas is None:
         yield _not("drag", text, why)
         return
@@ -181,8 +176,6 @@ def _drag(scene: Scene, _: str) -> Iterator[Part]:
 
 def _smoothing(scene: Scene, _: str) -> Iterator[Part]:
     text = "smoothing of the void fraction"
-    if not scene.coupled:
-        return
     if (why := _no_force(scene)) or scene.gas is None:
         yield _not("smoothing", text, why)
         return
@@ -201,9 +194,7 @@ def _smoothing(scene: Scene, _: str) -> Iterator[Part]:
 
 def _gas_step(scene: Scene, _: str) -> Iterator[Part]:
     text, run = "finer gas step", scene.run
-    if run.coupling is None:
-        return
-    if why := _no_gas(scene):
+    if (why := _no_gas(scene)) or run.coupling is None:
         yield _not("gas_step", text, why)
     elif run.gas_step is not None and run.gas_step < run.coupling:
         yield _part("gas_step", text, OFF, "one gas step per coupling interval", {"run.gas_step": None})
@@ -215,13 +206,8 @@ def _output(scene: Scene, _: str) -> Iterator[Part]:
     run = scene.run
     if scene.coupled:
         every = SPARSER * run.frames_every
-        text, of, frames, key, how = (
-            "frames",
-            "the run",
-            (run.until_time or 0.0) / every,
-            "run.frames_every",
-            f"{every:g} s",
-        )
+        text, of, frames, key = "frames", "the run", (run.until_time or 0.0) / every, "run.frames_every"
+        how = f"{every:g} s"
     else:
         every = SPARSER * run.record_every
         text, of, frames, key = "contacts", "a contact", run.steps_per_contact / every, "run.record_every"
@@ -240,12 +226,12 @@ PARTS = Registry(
     PartKind(name="rolling", find=_friction("rolling", "rolling friction")),
     PartKind(name="damping", find=_damping),
     PartKind(name="contact_model", find=_contact_model),
-    PartKind(name="walls", find=_walls),
-    PartKind(name="front_back", find=_front_back),
+    PartKind(name="walls", find=_walls, coupled=False),
+    PartKind(name="front_back", find=_front_back, coupled=True),
     PartKind(name="depth", find=_depth),
     PartKind(name="gas", find=_gas),
-    PartKind(name="drag", find=_drag),
-    PartKind(name="smoothing", find=_smoothing),
-    PartKind(name="gas_step", find=_gas_step),
+    PartKind(name="drag", find=_drag, coupled=True),
+    PartKind(name="smoothing", find=_smoothing, coupled=True),
+    PartKind(name="gas_step", find=_gas_step, coupled=True),
     PartKind(name="output", find=_output),
 )

@@ -23,7 +23,7 @@ from kncal.observe.verdict import Verdict
 from kncal.runs.measure_speed import resolve_measured
 from kncal.scene.case_file import dump_case, load_case
 from kncal.scene.model import KINDS
-from kncal.scene.plan import plan
+from kncal.scene.scene import Scene
 from kncal.study import Variant, VariantRun, run_variants
 from kncal.study.folders import refuse_other
 from kncal.study.runs import REFUSED, OnStudyProgress
@@ -123,7 +123,7 @@ class _Study:
     """The runs of one trim: what was run, and the effects against the full scene."""
 
     def __init__(
-        self, path: Path, scene: Any, folder: Path, options: TrimOptions, on_progress: OnStudyProgress | None
+        self, path: Path, scene: Scene, folder: Path, options: TrimOptions, on_progress: OnStudyProgress | None
     ) -> None:
         self.scene, self.options, self.path, self.folder = scene, options, path, folder
         self.tolerances: Mapping[str, float] = dict(options.tolerances or scene.tolerances)
@@ -131,9 +131,8 @@ class _Study:
         self.full: RunData | None = None
         self._told = on_progress
         self._resolution: dict[str, float] = {}
-        # with gas averages are compared, whose intervals the runs tell themselves, and a run takes long
-        self._averaged = plan(scene, (options.model,))[options.model].couplings > 0
-        self._rounds = options.rounds or (1 if self._averaged else ROUNDS)
+        # of a coupled scene averages are compared, whose intervals the runs tell themselves, and a run takes long
+        self._rounds = options.rounds or (1 if scene.coupled else ROUNDS)
 
     def run(self, variants: Sequence[Variant]) -> None:
         """Run ``variants``, and the full scene unless it is there, in the same rounds."""
@@ -155,7 +154,7 @@ class _Study:
     def _first(self) -> list[Variant]:
         model, run = self.options.model, self.scene.run
         full = Variant(name=FULL, model=model)
-        if self._averaged:
+        if self.scene.coupled:
             return [full]
         finer = {"run.dt": 0.5 * run.dt} if run.dt else {"run.steps_per_contact": 2.0 * run.steps_per_contact}
         return [full, Variant(name=FINE, model=model, changes=finer)]
@@ -304,7 +303,7 @@ def _model_of(parts: Iterable[Part], model: str) -> str:
     return next((part.model for part in parts if part.model), model)
 
 
-def _trimmed(study: _Study, without: Sequence[Part]) -> Any:
+def _trimmed(study: _Study, without: Sequence[Part]) -> Scene:
     scene, changes = study.scene, _changes(without)
     trimmed = load_case(study.path, overrides=texts(changes)) if changes else scene
     said = f"trimmed: without {', '.join(part.text for part in without)}" if without else "trimmed: nothing left out"
