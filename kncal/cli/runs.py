@@ -14,11 +14,12 @@ from kncal.cli.flags import Case, CaseFlags, Flags, Json, ModelChoice, RanksFlag
 from kncal.core.errors import InputError
 
 if TYPE_CHECKING:
-    from kncal.observe.compare import Comparison
-    from kncal.record.outcome import RunResult
+    from collections.abc import Mapping
 
-#: What engines add to the cost of a run, where there is gas -> its name in the table.
-_PARTS = {"cpu_dem": "CPU particles", "cpu_gas": "CPU gas", "cpu_exchange": "CPU exchange"}
+    from kncal.observe.compare import Comparison
+    from kncal.observe.estimate import Estimate
+    from kncal.observe.run_data import RunData
+    from kncal.record.outcome import RunResult
 
 Trust = Annotated[
     Path | None,
@@ -94,18 +95,17 @@ def run(
 
     folder, results = _run(case, kinds(model), at or CaseFlags(), by or RanksFlags(), how or RunFlags())
     runs = {kind: load(folder / kind) for kind in results}
-    metrics = {kind: dict(data.contacts.metrics) if data.contacts else {} for kind, data in runs.items()}
+    metrics = {kind: _seen(data) for kind, data in runs.items()}
     if json:
         show.as_json(
             {
-                kind: {"folder": str(folder / kind), "metrics": metrics[kind]}
+                kind: {"folder": folder / kind, "metrics": {name: e.value for name, e in metrics[kind].items()}}
                 | {"steps": result.steps, "dt": result.dt, "cpu_seconds": result.cpu_seconds, **result.extra}
                 for kind, result in results.items()
             }
         )
         return
-    scene = runs[next(iter(runs))].model.scene
-    _print_results(scene.name, results, metrics)
+    _print_results(runs, metrics)
     for data in runs.values():
         for text in remarks(data):
             show.say(f"  {text}")
@@ -211,23 +211,35 @@ def _run(
     return folder, results
 
 
-def _print_results(case: str, results: dict[str, RunResult], metrics: dict[str, dict[str, float]]) -> None:
+def _seen(run: RunData) -> dict[str, Estimate]:
+    """Return the metrics that a run has; none of a run too short for any average."""
+    try:
+        return {name: found for name, found in run.estimates.items() if found.value is not None}
+    except InputError as error:
+        show.note(str(error))
+        return {}
+
+
+def _print_results(runs: Mapping[str, RunData], metrics: Mapping[str, Mapping[str, Estimate]]) -> None:
     """Print a table of what the runs say and cost."""
-    from kncal.scene.metrics import metric_unit
+    from kncal.observe.estimate import missing
+    from kncal.scene.metrics import metric_order, metric_unit
 
     rows = []
-    for name in dict.fromkeys(name for found in metrics.values() for name in found):
-        rows.append([name, *(show.quantity(found.get(name), metric_unit(name), 6) for found in metrics.values())])
-    rows.append(["steps", *(str(r.steps) for r in results.values())])
-    rows.append(["dt", *(show.quantity(r.dt, "s") for r in results.values())])
-    rows.append(["CPU", *(show.quantity(r.cpu_seconds, "s", 3) for r in results.values())])
-    extras = [r.extra for r in results.values()]
-    for key, name in _PARTS.items():
-        if any(key in extra for extra in extras):
-            rows.append([name, *(show.quantity(extra.get(key), "s", 3) for extra in extras)])
-    if any("transport" in extra for extra in extras):
-        rows.append(["transport", *(str(extra.get("transport")) for extra in extras)])
-    show.table(f"{case} by {next(iter(results.values())).engine}", ["", *results], rows)
+    for name in sorted({name for seen in metrics.values() for name in seen}, key=metric_order):
+        found, unit = [seen.get(name) or missing("") for seen in metrics.values()], metric_unit(name)
+        rows.append([name, *(show.quantity(each.value, unit, 6, width=each.width) for each in found)])
+    costs = [run.cost for run in runs.values()]
+    rows.append(["steps", *(f"{cost.steps:,}" for cost in costs)])
+    rows.append(["dt", *(show.quantity(cost.dt, "s") for cost in costs)])
+    rows.append(["CPU", *(show.quantity(cost.total, "s", 3) for cost in costs)])
+    if any(cost.transport for cost in costs):
+        rows.append(["CPU particles", *(show.quantity(cost.cpu_seconds, "s", 3) for cost in costs)])
+        rows.append(["CPU gas", *(show.quantity(cost.gas, "s", 3) for cost in costs)])
+        rows.append(["CPU exchange", *(show.quantity(cost.exchange, "s", 3) for cost in costs)])
+        rows.append(["transport", *(cost.transport for cost in costs)])
+    first = next(iter(runs.values()))
+    show.table(f"{first.model.scene.name} by {first.result.engine}", ["", *runs], rows)
 
 
 def _print_comparison(comparison: Comparison) -> None:

@@ -20,11 +20,10 @@ import numpy as np
 from kncal.core.checks import Array
 from kncal.core.errors import InputError, ValidityError
 from kncal.observe.signals import rows_from
-from kncal.physics.calibration import calibrate
 from kncal.physics.material import Pair
 from kncal.physics.statistics import Average, Interval, average
 from kncal.record.series import BedSeries
-from kncal.scene.pair_contact import PairNumbers
+from kncal.scene.pair_contact import PairNumbers, calibration_for
 from kncal.scene.scene import ContactChoice
 from kncal.scene.species import SpeciesPair
 
@@ -170,21 +169,10 @@ def stiffness_at(
     """
     rows = []
     for name, speed in speeds.speeds.items():
+        ends = (speed.value, speed.low, speed.high)
         try:
-            values = [
-                float(
-                    calibrate(
-                        both,
-                        v_0=v,
-                        e_n=numbers.e_n,
-                        law=contact.law,
-                        method=contact.method,
-                        end=contact.end,
-                        **contact.options,
-                    ).k_n
-                )
-                for v in (speed.value, speed.low, speed.high)
-            ]
+            found = [calibration_for(contact, both, PairNumbers(numbers.e_n, 0.0, v, None)) for v in ends]
+            values = [float(calibration.k_n) for calibration in found if calibration is not None]
         except (ValidityError, InputError) as error:
             rows.append(StiffnessAt(statistic=name, v_0=speed, k_n=None, problem=str(error)))
             continue
