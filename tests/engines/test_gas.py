@@ -13,6 +13,7 @@ from gas_columns import MU, RHO_G, D, G
 
 from kncal.core.checks import Array
 from kncal.core.errors import ReadError, RunError, SolverMissingError
+from kncal.engines.base import GasSetup, GasSolver
 from kncal.engines.dpmfoam.case import write_case
 from kncal.engines.dpmfoam.restart import RestartGas
 from kncal.record.openfoam import read_cells
@@ -23,7 +24,7 @@ pytestmark = columns.needs_openfoam
 NOBODY = np.zeros((0, 3))
 
 
-def hold(gas: RestartGas, x: Array, steps: int) -> GasStep:
+def hold(gas: GasSolver, x: Array, steps: int) -> GasStep:
     """Frozen particles for some steps; every step's balances are checked."""
     for _ in range(steps):
         step = gas.step(x, 0 * x, *columns.alike(x))
@@ -84,12 +85,12 @@ def test_drag_identity(drag: str, law: Callable[[Array, Array, Array], Array], t
     assert error.max() < 1e-9
 
 
-def test_packed_bed_pressure_gradient_is_ergun(tmp_path: Path) -> None:
+def test_packed_bed_pressure_gradient_is_ergun(quick: Callable[[GasSetup], GasSolver]) -> None:
     """Local Ergun with each cell's own void fraction and velocity, and the balance of the whole column."""
     setup = columns.setup((5, 3, 15), 2.6e-3, inlet=0.1, step=1e-3)
     x = columns.packing((setup.size[0], setup.size[1], 12 * 2.6e-3), 1)
     x = x[np.random.default_rng(1).random(len(x)) < 0.9]  # holes at random: void fractions as uneven as in a bed
-    gas = RestartGas(setup, tmp_path / "gas")
+    gas = quick(setup)
     area, height = setup.size[0] * setup.size[1], setup.size[2]
     for U_0 in (0.1, 0.3, 0.6):
         gas.set_inlet(U_0)
@@ -131,7 +132,7 @@ def test_gas_alone_is_hydrostatic(tmp_path: Path) -> None:
     assert (step.reaction_error, step.not_passed, step.solids_error, step.eps_g_min) == (0.0, 0.0, 0.0, 1.0)
 
 
-def test_terminal_velocity(tmp_path: Path) -> None:
+def test_terminal_velocity(quick: Callable[[GasSetup], GasSolver]) -> None:
     """A particle at its terminal velocity weighs nothing more; one held in the gas, one falling through the cells."""
     density, sizes = 500.0, np.array([0.3e-3, 0.2e-3])
     volume = np.pi / 6.0 * sizes**3
@@ -145,7 +146,7 @@ def test_terminal_velocity(tmp_path: Path) -> None:
         low, high = np.where(excess(middle) < 0.0, middle, low), np.where(excess(middle) < 0.0, high, middle)
     falling, held = 0.5 * (low + high)[1], 0.5 * (low + high)[0]
     setup = columns.setup((8, 4, 12), 5e-3, inlet=float(held), step=2.5e-4)  # < 1 % of the relaxation times
-    gas = RestartGas(setup, tmp_path / "gas")
+    gas = quick(setup)
     x = np.array([[7.5e-3, 7.5e-3, 32.5e-3], [32.5e-3, 12.5e-3, 22.5e-3]])
     v = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, held - falling]])
     forces = []
@@ -158,10 +159,10 @@ def test_terminal_velocity(tmp_path: Path) -> None:
     assert np.mean(forces[24:], axis=0) == pytest.approx(density * volume * G, rel=0.01)
 
 
-def test_settling_follows_the_equation_of_motion(tmp_path: Path) -> None:
+def test_settling_follows_the_equation_of_motion(quick: Callable[[GasSetup], GasSolver]) -> None:
     d, density, dt = 0.5e-3, 1000.0, 5e-3
     setup = columns.setup((4, 4, 16), 1e-2, inlet=0.0, step=dt)
-    gas = RestartGas(setup, tmp_path / "gas")
+    gas = quick(setup)
     mass = density * np.pi / 6.0 * d**3
     x, v = np.array([[0.015, 0.015, 0.15]]), np.zeros((1, 3))
     for _ in range(20):

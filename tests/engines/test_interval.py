@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from gas_columns import alike, needs_openfoam, packing, setup, weight
 
+from kncal.engines.base import GasSetup, GasSolver
 from kncal.engines.dpmfoam.restart import RestartGas
 from kncal.engines.drive import gas_interval
 from kncal.record.steps import NOT_PASSED_LIMIT, REACTION_LIMIT
@@ -60,14 +62,14 @@ def test_particles_stop_at_the_boundary_instead_of_flying_out(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("depth", ["walls", "periodic"])
-def test_shorter_gas_steps_converge(tmp_path: Path, depth: str) -> None:
+def test_shorter_gas_steps_converge(quick: Callable[[GasSetup], GasSolver], depth: str) -> None:
     """The force on particles at rest tends to that of a steady flow whatever the step; first order in between."""
     x, d, rho = bed()
     v = np.zeros_like(x)
     total = 2e-3
     forces = {}
     for steps in (1, 2, 4, 8):
-        gas = RestartGas(setup(step=total / steps, front_back=depth), tmp_path / f"{steps}")
+        gas = quick(setup(step=total / steps, front_back=depth))
         forces[steps] = gas_interval(gas, x, v, d, rho, steps).force[:, 2].sum()
     first, second, third = (abs(forces[2 * n] - forces[n]) for n in (1, 2, 4))
     assert second < first

@@ -85,30 +85,30 @@ def both(column: GasSetup, tmp_path: Path, adapter: Path, story: Callable[[GasSo
     return toys
 
 
-def test_the_transports_agree_to_the_last_bit_over_40_couplings(tmp_path: Path, adapter: Path) -> None:
+def test_the_transports_agree_to_the_last_bit_over_22_couplings(tmp_path: Path, adapter: Path) -> None:
     fields = []
 
     def story(gas: GasSolver, toy: Toy) -> None:
         gas.set_inlet(0.31)
-        toy.advance(gas, 20)
-        gas.set_inlet(0.7123456789012345)
         toy.advance(gas, 10)
+        gas.set_inlet(0.7123456789012345)
+        toy.advance(gas, 6)
         toy.remove(100)
-        toy.advance(gas, 5)
+        toy.advance(gas, 3)
         toy.add(seed=5)
-        toy.advance(gas, 5)
+        toy.advance(gas, 3)
         fields.append(gas.fields())
 
     live, restart = both(setup(), tmp_path, adapter, story)
-    assert len(live.steps) == 40
+    assert len(live.steps) == 22
     numbers = [len(step.force) for step in live.steps]
-    assert numbers[29] - 100 == numbers[34] < numbers[35] == 2 * numbers[29] - 100
+    assert numbers[15] - 100 == numbers[18] < numbers[19] == 2 * numbers[15] - 100
     assert same(live.steps, restart.steps)
     assert all(np.array_equal(a, b) for a, b in zip(astuple(fields[0]), astuple(fields[1]), strict=True))
     assert np.array_equal(live.x, restart.x)
     # Not because nothing happens: particles were carried along, and the gas reacted to the inlet.
     assert np.abs(live.v).max() > 1e-2
-    assert live.steps[21].p_in > 1.2 * live.steps[19].p_in
+    assert live.steps[11].p_in > 1.2 * live.steps[9].p_in
 
 
 VARIANTS = {
