@@ -20,12 +20,13 @@ import kncal
 from kncal import cli
 from kncal.physics.laws import LAWS
 from kncal.physics.methods import METHODS
-from kncal.scene.case_file import parse_case, shipped_cases
+from kncal.scene.case_file import load_case, parse_case, shipped_cases
 from kncal.scene.limits import check
 from kncal.scene.needs import OVERRULABLE
 from kncal.scene.plan import plan
 from kncal.scene.scene import Scene
 from kncal.scene.walls import WALLS
+from kncal.study import Settings, combine, design, grid_axis
 from kncal.study.trim.parts import PARTS
 
 ROOT = Path(__file__).parents[2]
@@ -141,6 +142,22 @@ def test_commands_parse(page: Path) -> None:
         case = given.get("case") or (given.get("first") if given.get("second") is None else None)
         if case is not None and "case" in (*signature(function).parameters, "first") and not case.isupper():
             assert case in cases or "/" in case, f"kncal {shlex.join(words)}"
+
+
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if any("--set" in words for words in _commands(page))], ids=_name
+)
+def test_values_from_outside_fit_their_cases(page: Path) -> None:
+    """What a command sets is a key of its case with a value that it may have; of a sweep every point is tried."""
+    commands = [words for words in _commands(page) if words]
+    copied = {words[2]: words[1] for words in commands if words[0] == "new"}
+    for words in commands:
+        given = [words[i + 1] for i, word in enumerate(words) if word == "--set" and "$" not in words[i + 1]]
+        case = copied.get(words[1], words[1]) if given else ""
+        if words[0] == "sweep" and given:
+            design(case, combine([grid_axis(text) for text in given]), Settings())
+        elif given:
+            load_case(case, overrides=given)
 
 
 def test_the_extractor_sees_commands() -> None:
