@@ -144,6 +144,7 @@ def test_commands_parse(page: Path) -> None:
             assert case in cases or "/" in case, f"kncal {shlex.join(words)}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "page", [page for page in PAGES if any("--set" in words for words in _commands(page))], ids=_name
 )
