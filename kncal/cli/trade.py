@@ -121,12 +121,12 @@ def _factors(given: Iterable[str]) -> tuple[float, ...]:
 
 
 def _print(result: TradeResult) -> None:
-    from kncal.study.trade.report import NEAR, brief_table, shown_points, shown_title
+    from kncal.study.trade.report import NEAR, point_table, shown_points, shown_title
 
     shown, conclusion, said = result.trade, result.conclusion, result.answer
     near = shown_points(shown, conclusion)
-    found = brief_table(shown, conclusion, [shown.reference, *near])
-    show.table(f"{shown.case}: {shown_title(shown).lower()}", found.headings, found.rows, text=found.text)
+    found = point_table(shown, conclusion, [shown.reference, *near], brief=True)
+    show.table(f"{shown.case}: {shown_title(shown)}", found.headings, found.rows, text=found.text)
     if not shown.estimated and (far := len(conclusion.front) - len(near)):
         show.say(f"{far} more points of the front are more than {NEAR:g} times outside a tolerance.")
     show.say(said.sentence)

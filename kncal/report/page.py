@@ -5,11 +5,11 @@ A page needs no network and runs no script: a Content-Security-Policy forbids bo
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from kncal.core.errors import RenderError
 from kncal.core.files import write_text
@@ -19,6 +19,7 @@ from kncal.observe.verdict import Verdict
 
 #: Stands before the number of a note.
 _GAP = "\u202f"
+T = TypeVar("T")
 _SUPERSCRIPT = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -38,6 +39,12 @@ class Table:
     rows: tuple[tuple[str, ...], ...]
     text: tuple[int, ...] = (0,)
     below: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, items: Iterable[T], columns: Mapping[str, Callable[[T], str]], words: Collection[str]) -> Table:
+        """Return a table with a row per item; ``columns``: heading -> cell; ``words``: headings of columns of words."""
+        rows = tuple(tuple(cell(item) for cell in columns.values()) for item in items)
+        return cls(tuple(columns), rows, text=tuple(i for i, name in enumerate(columns) if name in words))
 
 
 @dataclass(frozen=True, kw_only=True)

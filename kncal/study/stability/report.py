@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +11,9 @@ from kncal.core.units import percent, quantity
 from kncal.observe.verdict import Verdict
 from kncal.report.page import Figure, Page, Section, Table, report_folder, write_page
 from kncal.report.style import STYLES, Album, bare, dress, model_name, new_axes, panels, plain_ticks, shared_legend
-from kncal.study.stability.edges import RESOLUTION
+from kncal.study.stability.accuracy import AccuracyEdge
+from kncal.study.stability.coupling_edges import BedPoint
+from kncal.study.stability.edges import RESOLUTION, Edge
 from kncal.study.stability.maps import Cell
 from kncal.study.stability.outcome import OUTCOMES
 from kncal.study.stability.results import CELL_UNITS, EDGE_COLUMNS, Stability, probe_name
@@ -94,32 +96,30 @@ _COUPLED = (
 
 def edge_table(found: Stability) -> Table:
     """Return the edges as text, one row per probe: the edge that counts, of the case's own contacts, beside theory."""
-    rows = []
-    for e in found.edges:
-        p, engine = e.probe, found.engine_of(e)
-        b = e.measured[engine]
-        half = 50.0 * (b.high / b.low - 1.0)
-        other = [percent(x.middle / b.middle - 1.0) for name, x in e.measured.items() if name != engine]
-        rows.append(
-            (
-                probe_name(e),
-                p.kind,
-                f"{p.e_n:g}",
-                str(p.contacts),
-                f"{quantity(e.at_v_0(engine), 's', 4)} ±{half:.2g} %",
-                engine,
-                other[0] if other else "–",
-                quantity(e.advised, "s", 4),
-                safety(e.safe_by(engine)),
-                percent(e.off_by(engine)),
-                b.beyond,
-            )
-        )
-    headings = (
-        "probe", "model", "e_n", "contacts", "edge at v_0", "by", "other engine", "advised", "advice is",
-        "off eigenvalues", "beyond",
-    )  # fmt: skip
-    return Table(headings, tuple(rows), text=(0, 1, 5, 8, 10))
+
+    def at_v_0(e: Edge) -> str:
+        b = e.measured[found.engine_of(e)]
+        return f"{quantity(e.at_v_0(found.engine_of(e)), 's', 4)} ±{50.0 * (b.high / b.low - 1.0):.2g} %"
+
+    def other(e: Edge) -> str:
+        own = found.engine_of(e)
+        middle = e.measured[own].middle
+        return next((percent(x.middle / middle - 1.0) for name, x in e.measured.items() if name != own), "–")
+
+    columns: dict[str, Callable[[Edge], str]] = {
+        "probe": probe_name,
+        "model": lambda e: e.probe.kind,
+        "e_n": lambda e: f"{e.probe.e_n:g}",
+        "contacts": lambda e: str(e.probe.contacts),
+        "edge at v_0": at_v_0,
+        "by": found.engine_of,
+        "other engine": other,
+        "advised": lambda e: quantity(e.advised, "s", 4),
+        "advice is": lambda e: safety(e.safe_by(found.engine_of(e))),
+        "off eigenvalues": lambda e: percent(e.off_by(found.engine_of(e))),
+        "beyond": lambda e: e.measured[found.engine_of(e)].beyond,
+    }
+    return Table.of(found.edges, columns, ("probe", "model", "by", "advice is", "beyond"))
 
 
 def safety(share: float) -> str:
@@ -129,33 +129,34 @@ def safety(share: float) -> str:
     return f"{'safe' if share > 0.0 else 'UNSAFE'} by {100.0 * abs(share):.3g} %"
 
 
+_ACCURACY_COLUMNS: Mapping[str, Callable[[AccuracyEdge], str]] = {
+    "model": lambda a: a.kind,
+    "e_n": lambda a: f"{a.e_n:g}",
+    "error of e_n": lambda a: f"{100.0 * a.error:g} %",
+    "N needed": lambda a: quantity(a.measured, ""),
+    "N predicted": lambda a: quantity(a.predicted, ""),
+    "dt": lambda a: quantity(a.dt, "s", 4),
+    "LIGGGHTS agrees": lambda a: {True: "yes", False: "NO", None: "–"}[a.confirmed],
+}
+_COUPLING_COLUMNS: Mapping[str, Callable[[BedPoint], str]] = {
+    "parameter": lambda r: r.edge,
+    "value": lambda r: f"{r.value:.3g}",
+    "setting": lambda r: quantity(r.setting, r.unit, 3),
+    "kncal says": lambda r: r.level,
+    "what happened": lambda r: r.outcome,
+    "numbers": lambda r: r.evidence,
+}
+
+
 def accuracy_table(found: Stability) -> Table:
     """Return the accuracy edges as text."""
-    rows = tuple(
-        (
-            a.kind,
-            f"{a.e_n:g}",
-            f"{100.0 * a.error:g} %",
-            "–" if a.measured is None else f"{a.measured:g}",
-            "–" if a.predicted is None else f"{a.predicted:g}",
-            quantity(a.dt, "s", 4),
-            {True: "yes", False: "NO", None: "–"}[a.confirmed],
-        )
-        for a in found.accuracy
-    )
-    headings = ("model", "e_n", "error of e_n", "N needed", "N predicted", "dt", "LIGGGHTS agrees")
-    return Table(headings, rows, text=(0, 6))
+    return Table.of(found.accuracy, _ACCURACY_COLUMNS, ("model", "LIGGGHTS agrees"))
 
 
 def coupling_table(found: Stability) -> Table:
     """Return the edges of the coupled algorithm as text."""
-    rows = tuple(
-        (r.edge, f"{r.value:.3g}", quantity(r.setting, r.unit, 3), r.level, r.outcome, r.evidence)
-        for edge in found.coupling
-        for r in edge.runs
-    )
-    headings = ("parameter", "value", "setting", "kncal says", "what happened", "numbers")
-    return Table(headings, rows, text=(0, 3, 4, 5))
+    runs = [run for edge in found.coupling for run in edge.runs]
+    return Table.of(runs, _COUPLING_COLUMNS, ("parameter", "kncal says", "what happened", "numbers"))
 
 
 def _figures(found: Stability, folder: Path) -> tuple[Figure, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -14,8 +14,7 @@ from kncal.core.units import percent, plus_minus, quantity, si_prefix
 from kncal.observe.estimate import Estimate
 from kncal.observe.row import deciding_text
 from kncal.report.page import Page, Section, Table, report_folder, write_page
-from kncal.report.style import model_name
-from kncal.study.trade.answer import answer, contact_text, describe, shown_factor
+from kncal.study.trade.answer import answer, contact_text, describe
 from kncal.study.trade.cost_law import Law
 from kncal.study.trade.figures import draw_trade_figures
 from kncal.study.trade.front import Conclusion, changed, cost, reach, worst_ratio
@@ -102,7 +101,7 @@ def write_trade_report(trade: Trade, conclusion: Conclusion, laws: Sequence[Law]
 
 def shown_title(trade: Trade) -> str:
     """Return what `shown_points` are."""
-    return "The contacts that ran" if trade.estimated else "The Pareto front"
+    return "Contacts that ran" if trade.estimated else "Pareto front"
 
 
 def shown_points(trade: Trade, conclusion: Conclusion) -> list[TradePoint]:
@@ -122,61 +121,42 @@ def _left_out(conclusion: Conclusion, near: Sequence[TradePoint]) -> str:
     return f" {far} more points of the front are cheaper, and more than {NEAR:g} times outside." if far else ""
 
 
-def point_table(trade: Trade, conclusion: Conclusion, points: Sequence[TradePoint]) -> Table:
-    """Return points as a table: what, cost, errors of the judged metrics, signs of softness, verdict."""
-    metrics = list(trade.tolerances)
-    rows = []
-    for point in points:
-        c = point.candidate
-        ratio = worst_ratio(point)
-        rows.append(
-            (
-                short(c),
-                "" if c.factor is None else shown_factor(c.factor),
-                quantity(point.k_n, "N/m", 3),
-                f"{c.steps_per_contact:g}",
-                quantity(point.steps, ""),
-                _cpu(point),
-                *(deciding_text(point.errors[metric]) if metric in point.errors else "–" for metric in metrics),
-                "" if ratio == math.inf else f"{ratio:.3g}",
-                ", ".join(sign.name for sign in changed(trade, point)),
-                _verdict(trade, conclusion, point),
-            )
-        )
-    headings = ("contact", "factor", "k_n", "N", "steps", "CPU", *metrics, "worst", "signs", "")
-    return Table(headings, tuple(rows), text=(0, len(headings) - 2, len(headings) - 1))
+def point_table(trade: Trade, conclusion: Conclusion, points: Sequence[TradePoint], *, brief: bool = False) -> Table:
+    """Return points as a table: what, cost, errors of the judged metrics, signs of softness, verdict.
 
+    ``brief``: one cost, and of the errors the one that reaches farthest in its tolerance.
+    """
 
-def brief_table(trade: Trade, conclusion: Conclusion, points: Sequence[TradePoint]) -> Table:
-    """Return points as a narrow table: one cost, and of the errors the one that reaches farthest in its tolerance."""
-    priced, unit = {"steps": ("steps", ""), "cpu_seconds": ("CPU", "s")}[trade.cost]
-    rows = []
-    for point in points:
-        worst = max(point.judged, key=partial(reach, point), default=None)
-        rows.append(
-            (
-                contact_text(point.candidate),
-                quantity(point.k_n, "N/m", 3),
-                f"{point.candidate.steps_per_contact:g}",
-                quantity(cost(trade, point), unit, 3 if unit else 4),
-                "" if worst is None else deciding_text(point.errors[worst]),
-                worst or "",
-                _verdict(trade, conclusion, point),
-            )
-        )
-    return Table(("contact", "k_n", "N", priced, "worst error", "of", ""), tuple(rows), text=(0, 5, 6))
+    def worst(p: TradePoint) -> str:
+        return max(p.judged, key=partial(reach, p), default="")
+
+    def error(p: TradePoint, metric: str) -> str:
+        return deciding_text(p.errors[metric]) if metric in p.errors else "–"
+
+    ratio = {p.candidate.name: worst_ratio(p) for p in points}
+    columns: dict[str, Callable[[TradePoint], str]] = {
+        "contact": lambda p: contact_text(p.candidate),
+        "k_n": lambda p: quantity(p.k_n, "N/m", 3),
+        "N": lambda p: f"{p.candidate.steps_per_contact:g}",
+        "steps": lambda p: quantity(p.steps, ""),
+        "CPU": _cpu,
+        **{metric: partial(error, metric=metric) for metric in trade.tolerances},
+        "worst": lambda p: "" if (r := ratio[p.candidate.name]) == math.inf else f"{r:.3g}",
+        "signs": lambda p: ", ".join(sign.name for sign in changed(trade, p)),
+        "worst error": lambda p: error(p, worst(p)),
+        "of": worst,
+        "verdict": partial(_verdict, trade, conclusion),
+    }
+    paid = {"steps": "steps", "cpu_seconds": "CPU"}[trade.cost]
+    few = ("contact", "k_n", "N", paid, "worst error", "of", "verdict")
+    shown = few if brief else [name for name in columns if name not in ("worst error", "of")]
+    return Table.of(points, {name: columns[name] for name in shown}, ("contact", "signs", "of", "verdict"))
 
 
 def _verdict(trade: Trade, conclusion: Conclusion, point: TradePoint) -> str:
     if point is trade.reference:
         return "reference"
     return "← chosen" if point is conclusion.chosen else verdict_of(point)
-
-
-def short(candidate: Candidate) -> str:
-    """Return what a contact is, where its factor and N stand beside it."""
-    how = {"reference": "reference", "reduced_modulus": ""}.get(candidate.how, candidate.how)
-    return f"{model_name(candidate.model)}, {how}".removesuffix(", ")
 
 
 def _cpu(point: TradePoint) -> str:
@@ -191,38 +171,23 @@ def _cpu(point: TradePoint) -> str:
 
 def _split_table(trade: Trade, points: Sequence[TradePoint]) -> Table:
     """The split of the judged errors of points."""
-    rows = []
-    for c in (point.candidate for point in points):
-        for split in trade.splits.get(c.name, ()):
-            if split.metric in trade.tolerances:
-                factor = "" if c.factor is None else shown_factor(c.factor)
-                rows.append((short(c), factor, f"{c.steps_per_contact:g}", *_split_cells(split)))
-    headings = (
-        "contact",
-        "factor",
-        "N",
-        "metric",
-        "error",
-        "discretisation",
-        "softness",
-        "model",
-        "sum",
-        "interaction",
-        "not known",
-    )
-    return Table(headings, tuple(rows), text=(0, 3, 10))
+    splits = [(p.candidate, split) for p in points for split in trade.splits.get(p.candidate.name, ())]
+    names = ("discretisation", "softness", "model")
+    columns: dict[str, Callable[[tuple[Candidate, ErrorSplit]], str]] = {
+        "contact": lambda of: contact_text(of[0]),
+        "N": lambda of: f"{of[0].steps_per_contact:g}",
+        "metric": lambda of: of[1].metric,
+        "error": lambda of: _part(of[1].total),
+        **{name: partial(_named_part, name) for name in names},
+        "interaction": lambda of: percent(of[1].interaction),
+        "not known": lambda of: ", ".join(of[1].missing),
+    }
+    judged = [(candidate, split) for candidate, split in splits if split.metric in trade.tolerances]
+    return Table.of(judged, columns, ("contact", "metric", "not known"))
 
 
-def _split_cells(split: ErrorSplit) -> tuple[str, ...]:
-    known = [part.value or 0.0 for part in split.parts.values() if part is not None]
-    return (
-        split.metric,
-        _part(split.total),
-        *map(_part, split.parts.values()),
-        percent(math.fsum(known)) if known else "–",
-        percent(split.interaction),
-        ", ".join(split.missing),
-    )
+def _named_part(name: str, of: tuple[Candidate, ErrorSplit]) -> str:
+    return _part(of[1].parts[name])
 
 
 def _part(part: Estimate | None) -> str:

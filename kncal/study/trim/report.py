@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from kncal.core.files import write_csv, write_json, write_text
 from kncal.core.units import quantity
-from kncal.observe.row import allowed
+from kncal.observe.row import Row, allowed
 from kncal.report.page import Page, Section, Table, report_folder, write_page
 from kncal.scene.case_file import CASE, dump_case
 from kncal.study.trim.figures import draw_figures
@@ -66,7 +67,10 @@ def write_trim(found: Trim, out: Path) -> Path:
             Section(
                 title="Every metric",
                 parts=tuple(
-                    Section(title=f"{r.part.text}: {r.part.tried}", table=_effects(r))
+                    Section(
+                        title=f"{r.part.text}: {r.part.tried}",
+                        table=Table.of(r.effects, _EFFECT_COLUMNS, ("metric", "verdict", "remark")),
+                    )
                     for r in found.results
                     if r.effects
                 ),
@@ -123,25 +127,31 @@ def _price(cost: CostChange | None) -> dict[str, object]:
     return {} if cost is None else {name: getattr(cost, name) for name in names}
 
 
+_PART_COLUMNS: Mapping[str, Callable[[PartResult], str]] = {
+    "part": lambda r: r.part.name,
+    "tried": lambda r: r.part.tried,
+    "verdict": lambda r: r.verdict,
+    "CPU": lambda r: "–" if r.cost is None else _cpu(r.cost),
+    "steps": lambda r: "–" if r.cost is None else _percent(r.cost.steps),
+    "disk": lambda r: "–" if r.cost is None else _percent(r.cost.disk),
+    "largest effect": lambda r: "–" if r.worst is None else change_text(r.worst),
+    "of": lambda r: "" if r.worst is None else r.worst.metric,
+}
+_EFFECT_COLUMNS: Mapping[str, Callable[[Row], str]] = {
+    "metric": lambda row: row.metric,
+    "full": lambda row: quantity(row.reference.value, row.unit),
+    "tried": lambda row: quantity(row.run.value, row.unit),
+    "change": change_text,
+    "allowed": lambda row: "" if row.tolerance is None else allowed(row.tolerance),
+    "verdict": lambda row: "" if row.verdict == "-" else row.verdict,
+    "remark": lambda row: row.reason,
+}
+
+
 def part_table(found: Trim) -> Table:
     """Return the parts that were tried: what, verdict, cost in CPU, steps and disk, largest effect and its metric."""
-    rows = tuple(_part_row(r) for r in found.results if r.verdict != DOES_NOT_APPLY)
-    headings = ("part", "tried", "verdict", "CPU", "steps", "disk", "largest effect", "of")
-    return Table(headings, rows, text=(0, 1, 2, 7))
-
-
-def _part_row(result: PartResult) -> tuple[str, ...]:
-    cost, worst = result.cost, result.worst
-    return (
-        result.part.name,
-        result.part.tried,
-        result.verdict,
-        "–" if cost is None else _cpu(cost),
-        "–" if cost is None else _percent(cost.steps),
-        "–" if cost is None else _percent(cost.disk),
-        "–" if worst is None else change_text(worst),
-        "" if worst is None else worst.metric,
-    )
+    tried = [r for r in found.results if r.verdict != DOES_NOT_APPLY]
+    return Table.of(tried, _PART_COLUMNS, ("part", "tried", "verdict", "of"))
 
 
 def _percent(share: float) -> str:
@@ -154,19 +164,3 @@ def _cpu(cost: CostChange) -> str:
     if cost.cpu_low is None or cost.cpu_high is None:
         return f"{100.0 * cost.cpu:+.3g} %"
     return f"{100.0 * cost.cpu:+.3g} % ({100.0 * cost.cpu_low:+.3g} to {100.0 * cost.cpu_high:+.3g})"
-
-
-def _effects(result: PartResult) -> Table:
-    rows = tuple(
-        (
-            row.metric,
-            quantity(row.reference.value, row.unit),
-            quantity(row.run.value, row.unit),
-            change_text(row),
-            "" if row.tolerance is None else allowed(row.tolerance),
-            "" if row.verdict == "-" else row.verdict,
-            row.reason,
-        )
-        for row in result.effects
-    )
-    return Table(("", "full", "tried", "change", "allowed", "", "remark"), rows, text=(0, 5, 6))
