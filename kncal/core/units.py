@@ -27,22 +27,19 @@ def quantity(value: float | None, unit: str, digits: int = 5, *, width: float | 
     """Return a number with its unit and a fitting prefix; "–" for one that is not there; integers in full.
 
     The unit "%" takes a share (0.05 is 5 %), "" and "–" are numbers without a unit. With ``width`` both have one
-    prefix, that of the value: "323.36 ± 0.94 mm".
+    prefix: "323.36 ± 0.94 mm". An angle has no prefix, nor has a power, of which it would be read as part.
     """
     if value is None or not np.isfinite(value):
         return "–"
-    if width is not None and np.isfinite(width):
-        scaled = unit not in ("", "–", "%") and not unit.startswith("rad")
-        factor, label = si_prefix(value or width, unit) if scaled else (100.0 if unit == "%" else 1.0, unit.strip("–"))
-        return f"{plus_minus(factor * value, factor * width)} {label}".rstrip()
-    if unit == "%":
-        return f"{100.0 * value:.3g} %"
-    if unit in ("", "–"):
-        return f"{value:,d}" if isinstance(value, int) else f"{value:.{digits}g}"
-    if unit.startswith("rad"):  # nobody speaks of a kilorad
-        return f"{value:.{digits}g} {unit}"
-    factor, label = si_prefix(value, unit)
-    return f"{factor * value:.{digits}g} {label}"
+    half = width if width is not None and np.isfinite(width) else 0.0
+    factor, label = (100.0, "%") if unit == "%" else (1.0, unit.strip("–"))
+    if label not in ("", "%") and not unit.startswith("rad") and "²" not in unit.partition("/")[0]:
+        factor, label = si_prefix([value, half], unit)
+    if half:
+        return f"{plus_minus(factor * value, factor * half)} {label}".rstrip()
+    if isinstance(value, int) and not label:
+        return f"{value:,d}"
+    return f"{factor * value:.{3 if unit == '%' else digits}g} {label}".rstrip()
 
 
 def percent(share: float | None) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from kncal.core.units import percent, plus_minus, quantity, si_prefix
+from kncal.core.units import percent, quantity
 from kncal.observe.estimate import Estimate
 from kncal.observe.row import Row, allowed, difference_text
 from kncal.report.page import Table, marks
@@ -96,16 +96,4 @@ def _to_decide(row: Row) -> str:
 
 def shown(found: Estimate, unit: str) -> str:
     """Return an average ± its uncertainty with one unit: "105.3 ± 1.2 Pa"; other values alone, "–" without one."""
-    return with_uncertainty(found.value, found.width if found.chance else None, unit)
-
-
-def with_uncertainty(value: float | None, uncertainty: float | None, unit: str) -> str:
-    """Return a number and its uncertainty with one unit: "105.3 ± 1.2 Pa"; "–" for one that is not there."""
-    if value is None:
-        return "–"
-    if not uncertainty:
-        return quantity(value, unit)
-    factor, label = (1.0, "") if unit in ("", "–") else si_prefix(max(abs(value), uncertainty), unit)
-    if "²" in unit:  # a prefix before a power would be read as part of it
-        factor, label = 1.0, unit
-    return f"{plus_minus(factor * value, factor * uncertainty)} {label}".rstrip()
+    return quantity(found.value, unit, width=found.width if found.chance else None)

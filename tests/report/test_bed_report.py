@@ -13,10 +13,9 @@ import pandas as pd
 import pytest
 from compared_beds import MEANS, SCENE, run_data
 
-from kncal.core.units import plus_minus
+from kncal.core.units import plus_minus, quantity
 from kncal.observe.compare import Comparison, compare
 from kncal.report.comparison import write_report
-from kncal.report.rows import with_uncertainty
 
 HOSTILE = '<img src=x onerror="alert(1)"></script><script>alert(2)</script>'
 CASE = replace(SCENE, tolerances={"overlap_mean": 0.05, "z_mean": 0.001, "pressure_drop": 0.5})
@@ -207,10 +206,10 @@ def test_numbers_are_shown_to_the_digits_of_their_uncertainty(value, uncertainty
 
 
 def test_value_and_uncertainty_share_a_unit():
-    assert with_uncertainty(0.01002, 0.00021, "m") == "10.02 ± 0.21 mm"
-    assert with_uncertainty(0.5, 0.01, "–") == "0.500 ± 0.010"
-    assert with_uncertainty(0.0099, 0.0001, "m²/s²") == "0.00990 ± 0.00010 m²/s²"
-    assert with_uncertainty(None, None, "Pa") == "–"
+    assert quantity(0.01002, "m", width=0.00021) == "10.02 ± 0.21 mm"
+    assert quantity(0.5, "–", width=0.01) == "0.500 ± 0.010"
+    assert quantity(0.0099, "m²/s²", width=0.0001) == "0.00990 ± 0.00010 m²/s²"
+    assert quantity(None, "Pa") == "–"
 
 
 def test_impact_speeds_stand_beside_the_one_calibrated_at(hostile):
