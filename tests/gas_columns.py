@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import pyvista
 
 from kncal.core.checks import Array
 from kncal.engines.base import GasSetup
@@ -59,8 +58,10 @@ def weight(x: Array) -> float:
     return len(x) * RHO * VOLUME * G
 
 
-def read_case(case: Path) -> pyvista.MultiBlock:
+def read_case(case: Path) -> Any:
     """Mesh, fields, patches and parcels of the last written time, as ParaView reads them."""
+    import pyvista
+
     reader = pyvista.OpenFOAMReader(str(case / "system" / "controlDict"))
     reader.enable_all_patch_arrays()
     reader.reader.EnableAllLagrangianArrays()

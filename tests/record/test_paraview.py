@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import meshio
 import numpy as np
 import pytest
-import pyvista
 
 from kncal.core.errors import InputError, ReadError
 from kncal.record.frames import Trajectory
@@ -29,6 +27,8 @@ def motion() -> Trajectory:
 
 @pytest.mark.parametrize("every", [1, 2, 9])
 def test_collection_reads_back_with_true_times(tmp_path: Path, motion: Trajectory, every: int) -> None:
+    import pyvista
+
     path = write_particles(motion, tmp_path / "an odd & <name>", every=every)
     reader = pyvista.get_reader(path)
     kept = range(0, 5, every)
@@ -61,8 +61,12 @@ def test_meshes_of_many_formats(tmp_path: Path, suffix: str) -> None:
     triangles = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
     path = tmp_path / f"mesh{suffix}"
     if suffix in (".vtp", ".vtk"):
+        import pyvista
+
         pyvista.PolyData.from_regular_faces(points, triangles).save(path)
     else:
+        import meshio
+
         meshio.Mesh(points, [("triangle", triangles)]).write(path)
     mesh = read_mesh(path)
     assert mesh.area == pytest.approx(1.5 + np.sqrt(3) / 2, rel=1e-6)

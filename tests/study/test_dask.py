@@ -22,7 +22,9 @@ from kncal.runs.folder import read_result
 from kncal.study import Settings, combine, dask_executor, design, grid_axis, run_sweep, sweep_status
 from kncal.study.dask_executor import perform
 
-pytest.importorskip("distributed")
+pytestmark = pytest.mark.skipif(  # not imported here, which takes a second
+    importlib.util.find_spec("distributed") is None, reason="dask is not installed (kncal[dask])"
+)
 
 
 @pytest.fixture

@@ -24,7 +24,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.long)
 
 
-def fuzzed(share: float = 1.0, short: int = 150) -> settings:
+def fuzzed(share: float = 1.0, short: int = 100) -> settings:
     """Settings of a fuzz test: ``short`` examples, or its ``share`` of KNCAL_FUZZ."""
     return settings(
         max_examples=max(int(EXAMPLES * share), 1) if EXAMPLES else short,
