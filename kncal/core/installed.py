@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import signal
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -70,6 +71,20 @@ def ask_version(
     hint = f"kncal is written for version {wanted}, that of Debian 12: apt-get install {package}" if wrong else ""
     found = f"{' '.join([version, *build])} ({path})"
     return replace(about, found=found, hint=hint, program=Path(path), version=version)
+
+
+#: What has been found: (what looks, program, its settings) -> what there is.
+_FOUND: dict[tuple[Callable[[], Finding], str | None, str | None], Finding] = {}
+
+
+def found_once(look: Callable[[], Finding], program: str) -> Finding:
+    """Return what ``look`` finds of a program; where that says its version, it is asked once as long as kncal runs."""
+    key = (look, shutil.which(program), os.environ.get("WM_PROJECT_DIR"))
+    if (known := _FOUND.get(key)) is None:
+        known = look()
+        if known.version:
+            _FOUND[key] = known
+    return known
 
 
 def ask(command: list[str], limit: float, environment: Mapping[str, str]) -> tuple[str, str]:

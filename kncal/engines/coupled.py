@@ -12,6 +12,7 @@ import numpy as np
 
 from kncal.core.checks import Array, one_of
 from kncal.core.errors import InputError, ReadError, RunError
+from kncal.core.installed import found_once
 from kncal.core.mpi import MISSING as NO_MPIRUN
 from kncal.core.mpi import MPIRUN, check_ranks
 from kncal.core.shipped import folder as shipped_folder
@@ -147,7 +148,7 @@ class Coupled(Engine):
 
     def profile(self) -> Profile:
         """Look for both solvers on this machine."""
-        liggghts, openfoam = look_for_liggghts(), look_for_openfoam()
+        liggghts, openfoam = found_once(look_for_liggghts, "liggghts"), found_once(look_for_openfoam, SOLVER)
         missing = [f"{f.name} (found: {f.found}; {f.hint})" for f in (liggghts, openfoam) if not f.ok]
         missing += [NO_MPIRUN] if self.ranks > 1 and shutil.which(MPIRUN) is None else []
         program = shutil.which(SOLVER)

@@ -185,11 +185,8 @@ def run_case(
             progress_for=progress_for,
             tell=tell,
         ) as it:
-            for kind, found in it.earlier.items():
-                used = "none" if found.result is None else found.result.extra.get("transport", "none")
-                if tell and used not in ("none", getattr(engine, "transport", used)):
-                    tell(f"{kind}: that run used the {used} transport, which gives the same numbers")
             results |= {kind: found.result for kind, found in it.earlier.items() if found.result is not None}
+            _tell_transports(results, engine, tell)
             for kind in [kind for kind in it.models if kind not in results] * repeat:
                 progress = progress_for(kind) if progress_for else None
                 with started(out / kind):  # a result of an earlier repeat would vouch for what this one is writing
@@ -223,6 +220,13 @@ def _looked_for(engine: Engine, scene: Scene) -> Profile:
     if profile.warning:
         logging.getLogger("kncal").warning("kncal: %s", profile.warning)
     return profile
+
+
+def _tell_transports(kept: Mapping[str, RunResult], engine: Engine, tell: Tell | None) -> None:
+    for kind, result in kept.items():
+        used = result.extra.get("transport", "none")
+        if tell and used not in ("none", getattr(engine, "transport", used)):
+            tell(f"{kind}: that run used the {used} transport, which gives the same numbers")
 
 
 def require_completed(results: Iterable[RunResult]) -> None:

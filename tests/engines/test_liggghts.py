@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kncal.engines.liggghts.batch import Liggghts, _look
+from kncal.engines.liggghts.batch import Liggghts
 from kncal.physics.material import Material, sphere_mass
 from kncal.record.frames import Trajectory
 from kncal.record.liggghts_dump import read_dump
@@ -357,7 +357,6 @@ def test_a_broken_deck_is_a_failed_run_with_the_solvers_words(tmp_path: Path) ->
 
 def test_profile_names_program_and_version_and_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    _look.cache_clear()
     profile = Liggghts().profile()
     assert profile.program is not None
     assert profile.program.name == "liggghts"

@@ -18,7 +18,7 @@ import pytest
 from kncal.core.errors import InputError, RenderError, RunError, SolverMissingError, ValidityError
 from kncal.core.lock import LOCK, locked, sign
 from kncal.core.process import run_process
-from kncal.engines.liggghts.batch import Liggghts, _look
+from kncal.engines.liggghts.batch import Liggghts
 from kncal.engines.registry import get_engine
 from kncal.runs.folder import write_result
 from kncal.runs.workflow import load, render_case, run_case
@@ -308,7 +308,6 @@ def fake_solver(folder: Path, monkeypatch, script: str) -> None:
     program.write_text(f"#!/bin/sh\n{script}\n")
     program.chmod(0o755)
     monkeypatch.setenv("PATH", f"{folder}:{os.environ['PATH']}")
-    _look.cache_clear()
 
 
 @pytest.mark.solver
@@ -353,7 +352,6 @@ def test_liggghts_own_spring_is_told_apart_and_read_back(tmp_path: Path) -> None
     scene = dataclasses.replace(
         scene, contact=dataclasses.replace(scene.contact, method="strain_energy", options={}, k_n=None)
     )
-    _look.cache_clear()
     run_case(scene, get_engine("liggghts-hooke"), tmp_path / "out", ("linear",))
     folder = tmp_path / "out" / "linear"
     assert json.loads((folder / "manifest.json").read_text())["engine"] == "liggghts-hooke"

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from kncal.core.checks import Array, one_of
 from kncal.core.errors import SolverMissingError
-from kncal.core.installed import Finding
+from kncal.core.installed import found_once
 from kncal.core.mpi import MISSING as NO_MPIRUN
 from kncal.core.mpi import MPIRUN, check_ranks, mpi_command, mpi_environment, run_ranks
 from kncal.core.process import solver_environment
@@ -58,7 +57,7 @@ class Liggghts(Engine):
 
     def profile(self) -> Profile:
         """Look for the solver on this machine; starts it once to learn its version."""
-        found = _look(shutil.which(PROGRAM))
+        found = found_once(look, PROGRAM)
         needed = [("stdbuf", "no program stdbuf on PATH: apt-get install coreutils")]
         needed += [(MPIRUN, NO_MPIRUN)] if self.ranks > 1 else []
         problem = next((hint for program, hint in needed if shutil.which(program) is None), "")
@@ -141,10 +140,3 @@ class Liggghts(Engine):
             }
 
         return guarded(self.name, plan, folder, work, cpu_seconds=0.0, version=profile.version)
-
-
-@lru_cache(maxsize=8)
-def _look(program: str | None) -> Finding:
-    """Ask for the version once per program."""
-    del program
-    return look()
