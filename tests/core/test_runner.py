@@ -76,8 +76,6 @@ def test_liggghts_from_deck_to_rebound(run, tmp_path: Path) -> None:
     for log in (screen, file):
         assert log.finished
         assert (log.last_step, log.atoms, log.errors) == (600, 1, ())
-        assert log.loop_cpu is not None
-    assert screen.version == "3.8.0"
 
     motion = read_trajectory(tmp_path / "particles.dump", ("ball",), (RADIUS,), DT)
     gaps = np.diff(motion.step)

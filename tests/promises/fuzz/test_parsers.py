@@ -180,7 +180,7 @@ def test_logs(folder: Path, data: bytes) -> None:
     only_ours(lambda: openfoam.fatal_error(path))
     for line in data.decode("latin-1").splitlines():
         liggghts_log.step_of_line(line)
-    assert all(text.isprintable() or "\t" in text for found in log for text in (*found.errors, *found.warnings))
+    assert all(text.isprintable() or "\t" in text for found in log for text in found.errors)
 
 
 RESULT = json.dumps(
