@@ -44,14 +44,14 @@ class BlockFlags(Flags):
 def kn(
     case: Case | None = None,
     *,
-    contact: ContactFlags | None = None,
-    how: MethodFlags | None = None,
-    block: BlockFlags | None = None,
+    contact: ContactFlags = ContactFlags(),
+    how: MethodFlags = MethodFlags(),
+    block: BlockFlags = BlockFlags(),
     from_run: FromRun = None,
     uncertain: Uncertain = None,
     picture: Picture = None,
-    at: CaseFlags | None = None,
-    by: EngineFlags | None = None,
+    at: CaseFlags = CaseFlags(),
+    by: EngineFlags = EngineFlags(),
     json: Json = False,
 ) -> None:
     """Calibrate the linear stiffness and damping by every method.
@@ -63,10 +63,8 @@ def kn(
 
     Example: kncal kn --young 70e9 --poisson 0.22 --density 2500 --radius 1e-3 --v0 0.5 --en 0.9
     """
-    flags, how, block = contact or ContactFlags(), how or MethodFlags(), block or BlockFlags()
-    at, by = at or CaseFlags(), by or EngineFlags()
     if from_run is not None:
-        own = [*flags.given(), *(["--set"] if at.overrides else []), *([case] if case else [])]
+        own = [*contact.given(), *(["--set"] if at.overrides else []), *([case] if case else [])]
         if own:
             raise InputError(f"{own[0]} and --from-run: the run's case holds these numbers: expected one or the other")
         refuse_ignored(
@@ -80,7 +78,7 @@ def kn(
     if case is None and at.overrides:
         raise InputError("--set needs a case whose values it replaces: name a case, or leave it out")
     if case is not None:
-        if given := flags.given():
+        if given := contact.given():
             raise InputError(
                 f"{given[0]} and the case {case!r}: the case holds these numbers; expected one or the other"
             )
@@ -96,9 +94,9 @@ def kn(
     if uncertain:
         ignored = block.given()
         refuse_ignored("--uncertain, which gives the distribution of k_n alone", ignored)
-        _kn_flags_uncertain(flags, uncertain, how, json=json)
+        _kn_flags_uncertain(contact, uncertain, how, json=json)
     else:
-        _kn_flags(flags, how, block, json=json)
+        _kn_flags(contact, how, block, json=json)
 
 
 def _refuse_measuring(at: CaseFlags, by: EngineFlags) -> None:
@@ -269,8 +267,8 @@ def _kn_print_pair(name: str, data: dict[str, Any], method: str) -> None:
 
 def collide(
     *,
-    contact: ContactFlags | None = None,
-    how: MethodFlags | None = None,
+    contact: ContactFlags = ContactFlags(),
+    how: MethodFlags = MethodFlags(),
     out: Annotated[Path, Parameter(help="picture to write (.png or .svg)")] = Path("collide.png"),
     json: Json = False,
 ) -> None:
@@ -281,12 +279,13 @@ def collide(
     from kncal.physics.calibration import calibrate
     from kncal.report.collision import plot_collision
 
-    flags, how = contact or ContactFlags(), how or MethodFlags()
     own = how.own()
     taken = ["--method", *(f"--{name.replace('_', '-')}" for name in own)]
     refuse_ignored(f"the method {how.method}", [flag for flag in how.given() if flag not in taken])
-    pair, speed, restitution = flags.pair(), flags.speed(), flags.restitution()
-    calibration = calibrate(pair, v_0=speed, e_n=restitution, law=flags.law, method=how.method, end=flags.end, **own)
+    pair, speed, restitution = contact.pair(), contact.speed(), contact.restitution()
+    calibration = calibrate(
+        pair, v_0=speed, e_n=restitution, law=contact.law, method=how.method, end=contact.end, **own
+    )
     plot_collision(calibration, out)
     data = calibration.to_dict()
     if json:
@@ -297,8 +296,8 @@ def collide(
         for name, unit in (("t_c", "s"), ("delta_max", "m"), ("delta_mean", "m"), ("delta_end", "m"))
     ]
     rows.append(["stiffness", show.quantity(float(pair.k_h), "N/m^1.5"), show.quantity(data["k_n"], "N/m")])
-    title = f"{flags.title}: one impact at {data['v_0']:g} m/s, e_n = {data['e_n']:g}"
-    show.table(title, ["", flags.law, f"linear ({how.method})"], rows)
+    title = f"{contact.title}: one impact at {data['v_0']:g} m/s, e_n = {data['e_n']:g}"
+    show.table(title, ["", contact.law, f"linear ({how.method})"], rows)
     for warning in data["warnings"]:
         show.say(f"  {show.kind_of(warning['code'])}: {warning['message']}")
     show.say(f"picture: {out}")

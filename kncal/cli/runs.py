@@ -49,8 +49,8 @@ def render(
     case: Case,
     *,
     model: ModelChoice = "both",
-    at: CaseFlags | None = None,
-    by: RanksFlags | None = None,
+    at: CaseFlags = CaseFlags(),
+    by: RanksFlags = RanksFlags(),
     trust_templates: Trust = None,
 ) -> None:
     """Write the solver input of CASE: one folder per model, which runs by hand with ./Allrun.
@@ -61,9 +61,8 @@ def render(
     from kncal.runs.workflow import render_case
     from kncal.scene.limits import warnings_of
 
-    by = by or RanksFlags()
     _trust(trust_templates)
-    scene, folder = (at or CaseFlags()).load(case)
+    scene, folder = at.load(case)
     solver = by.solver(scene)
     scene = by.measured(scene, folder)
     with show.run_bars({}) as progress_for:
@@ -84,16 +83,16 @@ def run(
     case: Case,
     *,
     model: ModelChoice = "both",
-    at: CaseFlags | None = None,
-    by: RanksFlags | None = None,
-    how: RunFlags | None = None,
+    at: CaseFlags = CaseFlags(),
+    by: RanksFlags = RanksFlags(),
+    how: RunFlags = RunFlags(),
     json: Json = False,
 ) -> None:
     """Write the solver input of CASE, run it, and print what the runs show."""
     from kncal.runs.workflow import load, remarks
     from kncal.scene.limits import warnings_of
 
-    folder, results = _run(case, kinds(model), at or CaseFlags(), by or RanksFlags(), how or RunFlags())
+    folder, results = _run(case, kinds(model), at, by, how)
     runs = {kind: load(folder / kind) for kind in results}
     metrics = {kind: _seen(data) for kind, data in runs.items()}
     if json:
@@ -120,9 +119,9 @@ def compare(
     ],
     second: Annotated[Path | None, Parameter(help="folder of the Hertz run: compare two runs that are there")] = None,
     *,
-    at: CaseFlags | None = None,
-    by: RanksFlags | None = None,
-    how: RunFlags | None = None,
+    at: CaseFlags = CaseFlags(),
+    by: RanksFlags = RanksFlags(),
+    how: RunFlags = RunFlags(),
     json: Json = False,
 ) -> int:
     """Run a case with the linear and with the Hertz contact, and compare. Or compare two runs.
@@ -131,7 +130,6 @@ def compare(
     """
     from kncal.runs.workflow import compare_case, compare_runs, load_pair
 
-    at, by, how = at or CaseFlags(), by or RanksFlags(), how or RunFlags()
     page = None
     if second is not None:
         refuse_ignored("two runs that exist already", [*at.given(), *by.given(), *how.given()])

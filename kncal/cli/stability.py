@@ -20,7 +20,7 @@ def stability(
     transport: Transport = "auto",
     quick: Annotated[bool, Parameter(name="--quick", help="fewer probes, coarser maps")] = False,
     workers: Workers = None,
-    at: CaseFlags | None = None,
+    at: CaseFlags = CaseFlags(),
     json: Json = False,
 ) -> None:
     """Find the largest stable time step of CASE by bisection, compare it with theory, and map the outcomes.
@@ -39,7 +39,7 @@ def stability(
     from kncal.study.stability.report import accuracy_table, coupling_table, edge_table, write_stability
     from kncal.study.stability.workflow import RECORD, SPEED, STARTED, study_stability
 
-    scene, folder = (at or CaseFlags()).load(case, "stability")
+    scene, folder = at.load(case, "stability")
     refuse_other(folder, RECORD, STARTED, case)
     scene = EngineFlags(engine=engine, transport=transport).measured(scene, folder / SPEED)
     with show.working("probes") as now:

@@ -136,11 +136,11 @@ class ClusterFlags(Flags):
 def sweep(
     case: str,
     *,
-    over: PointFlags | None = None,
+    over: PointFlags = PointFlags(),
     model: ModelChoice = "both",
-    by: RanksFlags | None = None,
+    by: RanksFlags = RanksFlags(),
     timeout: Timeout = None,
-    on: ClusterFlags | None = None,
+    on: ClusterFlags = ClusterFlags(),
     out: Annotated[Path | None, Parameter(help="folder of the sweep; default runs/<case>_sweep here")] = None,
     skip_bad: Annotated[bool, Parameter(help="skip points that cannot run, instead of refusing all")] = (False),
     parquet: Parquet = False,
@@ -161,7 +161,6 @@ def sweep(
 
     if parquet:
         check_parquet()
-    over, by, on = over or PointFlags(), by or RanksFlags(), on or ClusterFlags()
     groups, scene = over.groups(), load_case(case)
     by.check(scene)
     settings = Settings(

@@ -45,8 +45,8 @@ def trade(
     rounds: Annotated[int, Parameter(help="how often each run is repeated for its CPU time")] = 3,
     budget: Annotated[str | None, Parameter(help="wall-clock time for everything, e.g. 90s, 10min, 2h")] = None,
     workers: Workers = None,
-    at: CaseFlags | None = None,
-    by: EngineFlags | None = None,
+    at: CaseFlags = CaseFlags(),
+    by: EngineFlags = EngineFlags(),
     json: Json = False,
 ) -> int:
     """Measure how much softer contacts and larger time steps save on CASE; find the cheapest within the tolerances.
@@ -64,7 +64,6 @@ def trade(
     from kncal.study.trade.trade import FACTORS, STEPS, TradeOptions
     from kncal.study.trade.workflow import run_trade
 
-    at, by = at or CaseFlags(), by or EngineFlags()
     scene, folder = at.load(case, "trade")
     by.check(scene)
     options = TradeOptions(

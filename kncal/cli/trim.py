@@ -33,8 +33,8 @@ def trim(
     ] = None,
     workers: Workers = None,
     timeout: Timeout = None,
-    at: CaseFlags | None = None,
-    by: EngineFlags | None = None,
+    at: CaseFlags = CaseFlags(),
+    by: EngineFlags = EngineFlags(),
     json: Json = False,
 ) -> None:
     """Run CASE with and without each optional part of its physics; show cost and effect, and write the trimmed case.
@@ -54,7 +54,6 @@ def trim(
     from kncal.study.trim.run import TrimOptions
     from kncal.study.trim.run import trim as run_trim
 
-    at, by = at or CaseFlags(), by or EngineFlags()
     scene, folder = at.load(case, "trim")
     by.check(scene)
     options = TrimOptions(
