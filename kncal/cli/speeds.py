@@ -40,12 +40,10 @@ Picture = Annotated[
     Parameter(name="--picture", help="with --from-run: picture of the impact speeds (.png or .svg)"),
 ]
 
-_WHO = {"particles": "two particles", "walls": "a particle and a wall", "all": "all contacts"}
-
 
 def kn_from_run(folder: Path, uncertain: Sequence[str], picture: Path | None, *, json: bool) -> None:
     """Print the impact speeds of a run and k_n at them."""
-    from kncal.report.speeds import plot_impact_speeds
+    from kncal.report.speeds import WHO, plot_impact_speeds
     from kncal.runs.impact_speeds import run_speeds
     from kncal.runs.records import MANIFEST
     from kncal.scene.model import KINDS
@@ -68,32 +66,33 @@ def kn_from_run(folder: Path, uncertain: Sequence[str], picture: Path | None, *,
     for run, spread in zip(runs, spreads, strict=True):
         _print_run(run)
         for kind, propagation in spread.items():
-            print_propagation(f"{_WHO.get(kind, kind)}, {run.model}", propagation)
+            print_propagation(f"{WHO.get(kind, kind)}, {run.model}", propagation)
     if picture is not None:
         show.say(f"picture: {picture}")
 
 
 def _print_run(run: RunSpeeds) -> None:
     from kncal.observe.impact_speeds import KINDS_OF_IMPACTS, STATISTICS
+    from kncal.report.speeds import WHO
 
     contact = run.scene.contact
     for kind, found in run.speeds.items():
         pair = run.pairs[kind]
         window = f"{show.quantity(run.begin, 's')} to {show.quantity(run.end, 's')}"
         if not found.count:
-            show.say(f"{run.scene.name}, {run.model}, {_WHO.get(kind, kind)}: no impact in {window}\n")
+            show.say(f"{run.scene.name}, {run.model}, {WHO.get(kind, kind)}: no impact in {window}\n")
             continue
         rows = []
         doubts: dict[str, list[str]] = {}
         for row in run.stiffness(kind):
-            stiffness = [row.problem, ""] if row.k_n is None else [show.quantity(row.k_n.value, "N/m"), _width(row.k_n)]
-            rows.append([STATISTICS[row.statistic], f"{row.v_0.value:.4g}", _width(row.v_0), *stiffness])
+            stiffness = row.problem if row.k_n is None else row.k_n.shown("N/m")
+            rows.append([STATISTICS[row.statistic], row.v_0.shown("m/s"), stiffness])
             for why in filter(None, row.v_0.why.split("; ")):
                 doubts.setdefault(why, []).append(STATISTICS[row.statistic])
-        who = _WHO[kind] if kind in KINDS_OF_IMPACTS else "–".join(pair.names)
+        who = WHO[kind] if kind in KINDS_OF_IMPACTS else "–".join(pair.names)
         show.table(
             f"{run.scene.name}, {run.model}, {who}: {found.count} impacts in {window}",
-            ["impact speed", "v_0 [m/s]", "95 %", f"k_n by {contact.method}", "95 % [N/m]"],
+            ["impact speed", "v_0 (95 %)", f"k_n by {contact.method} (95 %)"],
             rows,
         )
         for why, names in doubts.items():
@@ -106,10 +105,6 @@ def _print_run(run: RunSpeeds) -> None:
             f"  contacts of two particles last {run.enduring.duration:.3g} t_c on average; at any time at least "
             f"{100.0 * run.enduring.share:.0f} % of them are older than an impact: no impact speed describes them\n"
         )
-
-
-def _width(estimate: Interval) -> str:
-    return f"{estimate.low:.4g} … {estimate.high:.4g}" if estimate.high > estimate.low else ""
 
 
 def _spreads_of_run(run: RunSpeeds, uncertain: Sequence[str]) -> dict[str, Propagation]:
@@ -178,11 +173,8 @@ def texts(uncertain: Sequence[str]) -> dict[str, str]:
 
 def print_propagation(title: str, found: Propagation) -> None:
     """Print the quantiles of k_n and the shares of its variance."""
-    rows = [
-        [f"{100.0 * share:g} %", show.quantity(value.value, "N/m"), _width(value)]
-        for share, value in found.quantiles.items()
-    ]
-    show.table(f"{title}: distribution of k_n ({found.samples} samples)", ["quantile", "k_n", "95 % [N/m]"], rows)
+    rows = [[f"{100.0 * share:g} %", value.shown("N/m")] for share, value in found.quantiles.items()]
+    show.table(f"{title}: distribution of k_n ({found.samples} samples)", ["quantile", "k_n (95 %)"], rows)
     shares: Mapping[str, Interval] = found.total
     rows = [
         [name, f"{100.0 * found.first_order[name].value:.1f} %", f"{100.0 * total.value:.1f} %", total.why]

@@ -42,6 +42,14 @@ def quantity(value: float | None, unit: str, digits: int = 5, *, width: float | 
     return f"{factor * value:.{3 if unit == '%' else digits}g} {label}".rstrip()
 
 
+def span(value: float, low: float, high: float, unit: str, digits: int = 4) -> str:
+    """Return a number with its interval, all with one prefix: "163.9 (147 to 207.9) N/m"; alone without a width."""
+    if not high > low:
+        return quantity(value, unit, digits)
+    factor, label = si_prefix(value, unit)
+    return f"{factor * value:.{digits}g} ({factor * low:.{digits}g} to {factor * high:.{digits}g}) {label}"
+
+
 def percent(share: float | None) -> str:
     """Return a share with its sign in percent; "–" for one that is not there."""
     if share is None:

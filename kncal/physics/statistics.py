@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from kncal.core.checks import Array, as_floats, positive
 from kncal.core.errors import InputError
+from kncal.core.units import span
 
 #: Largest and smallest number of batches; more gain little width (t = 2.13 for 16), fewer say little.
 BATCHES = (5, 16)
@@ -82,6 +83,10 @@ class Interval:
     def uncertainty(self) -> float:
         """Half the width of the interval relative to the value; 0 for a value of 0."""
         return 0.5 * (self.high - self.low) / self.value if self.value else 0.0
+
+    def shown(self, unit: str, digits: int = 4) -> str:
+        """Return the number with its interval and ``unit``; see `kncal.core.units.span`."""
+        return span(self.value, self.low, self.high, unit, digits)
 
 
 def average(t: ArrayLike, y: ArrayLike, discard: float | None = None) -> Average:

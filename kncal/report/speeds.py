@@ -12,7 +12,6 @@ from kncal.core.errors import InputError
 from kncal.core.units import quantity
 from kncal.observe.impact_speeds import KINDS_OF_IMPACTS, STATISTICS, ImpactSpeeds, bed_impact_speeds
 from kncal.observe.run_data import RunData
-from kncal.physics.statistics import Interval
 from kncal.report.page import Section, Table
 from kncal.report.style import Album, dress, model_name, new_axes
 
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 #: Kind of impacts -> who meets.
-WHO = {"particles": "two particles", "walls": "particle and wall", "all": "all contacts"}
+WHO = {"particles": "two particles", "walls": "a particle and a wall", "all": "all contacts"}
 _COLOURS = {"particles": "#0072B2", "walls": "#D55E00", "all": "#0072B2"}
 _REMARK = (
     "Speeds of new contacts, after the start-up, with 95 % intervals. Energy-weighted: Σv³/Σv², the speed at which the"
@@ -70,7 +69,7 @@ def speeds_section(runs: tuple[RunData, ...], album: Album) -> Section:
 
 
 def _row(name: str, speeds: ImpactSpeeds, v_0: float | None) -> tuple[str, ...]:
-    values = [_shown(speeds.speeds.get(each)) for each in STATISTICS]
+    values = [speeds.speeds[each].shown("m/s", 3) if each in speeds.speeds else "–" for each in STATISTICS]
     given = "–" if v_0 is None else quantity(v_0, "m/s", 3)
     return (name, WHO[speeds.kind], f"{speeds.count:,}", *values, given, _place(speeds, v_0))
 
@@ -87,10 +86,6 @@ def _doubts(name: str, speeds: ImpactSpeeds) -> Iterator[str]:
     for statistic, found in speeds.speeds.items():
         if found.why:
             yield f"{name}, {WHO[speeds.kind]}, {STATISTICS[statistic]}: {found.why}"
-
-
-def _shown(found: Interval | None) -> str:
-    return "–" if found is None else f"{found.value:.3g} ({found.low:.3g} to {found.high:.3g}) m/s"
 
 
 def impact_speeds(speeds: Mapping[str, ImpactSpeeds], title: str = "") -> Axes:
