@@ -82,8 +82,8 @@ def signs(data: RunData, reference: RunData | None = None) -> tuple[Sign, ...]:
         If a bed ran too short for any average.
     """
     if data.signals is not None:
-        return _bed(data, reference)
-    return _contacts(data, None if reference is None else reference.model)
+        return _of_signals(data, reference)
+    return _of_contacts(data, None if reference is None else reference.model)
 
 
 def sound_speed(contact: PairContact, diameter: float, mass: float) -> float:
@@ -114,13 +114,13 @@ def model_signs(model: Plan) -> tuple[Sign, ...]:
         return ()
     scene = model.scene
     d = scene.group.diameter
-    return (_static(max(bottom_overlaps(model).values()) / d, "at the bottom of the bed at rest"), _bed_sound(model))
+    return (_static(max(bottom_overlaps(model).values()) / d, "at the bottom of the bed at rest"), _sound_of(model))
 
 
-# --- beds ---------------------------------------------------------------------
+# --- of signals ---------------------------------------------------------------
 
 
-def _bed(data: RunData, reference: RunData | None) -> tuple[Sign, ...]:
+def _of_signals(data: RunData, reference: RunData | None) -> tuple[Sign, ...]:
     model, series = data.model, data.series
     if not model.contacts or not np.isfinite(series.overlap_max).any():
         return ()
@@ -136,11 +136,11 @@ def _bed(data: RunData, reference: RunData | None) -> tuple[Sign, ...]:
     ]
     if reference is not None and np.isfinite(reference.series.contacts).any():
         found.append(_contact_number(data, reference))
-        found[-2] = _bed_sound(model, reference.model)
+        found[-2] = _sound_of(model, reference.model)
     return tuple(found)
 
 
-def _bed_sound(model: Plan, reference: Plan | None = None) -> Sign:
+def _sound_of(model: Plan, reference: Plan | None = None) -> Sign:
     scene = model.scene
     contact, d = _shortest(model.contacts), scene.group.diameter
     mass = float(sphere_mass(scene.spheres[0].material, d / 2.0))
@@ -178,10 +178,10 @@ def _beyond(x: Array | np.ndarray[tuple[int, ...], np.dtype[np.float32]], size: 
     return int(outside.any(axis=-1).sum())
 
 
-# --- single contacts ----------------------------------------------------------
+# --- of single contacts -------------------------------------------------------
 
 
-def _contacts(data: RunData, reference: Plan | None) -> tuple[Sign, ...]:
+def _of_contacts(data: RunData, reference: Plan | None) -> tuple[Sign, ...]:
     model, events = data.model, data.observations.contacts
     if not events:
         return ()

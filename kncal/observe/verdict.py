@@ -223,17 +223,15 @@ def _broken(invariants: Sequence[Invariant]) -> list[str]:
         for i in invariants
         if not i.holds
     ]
-    return [f"Not to be trusted before this is understood: {'; '.join(texts)}."] if texts else []
+    return _about(texts, "Not to be trusted before this is understood: {}.")
 
 
 def _odd(exact: Sequence[Row]) -> list[str]:
-    odd = [f"{r.metric} ({r.model})" for r in exact if r.verdict == "outside"]
-    if not odd:
-        return []
-    return [
-        f"Further from the exact solution than the predicted discretisation error: {', '.join(odd)}."
-        " Look for a contact that was not resolved before you trust the comparison."
-    ]
+    return _about(
+        [f"{r.metric} ({r.model})" for r in exact if r.verdict == "outside"],
+        "Further from the exact solution than the predicted discretisation error: {}."
+        " Look for a contact that was not resolved before you trust the comparison.",
+    )
 
 
 # --- details ------------------------------------------------------------------------------------------------------
@@ -301,7 +299,7 @@ def _coarse(invariants: Sequence[Invariant]) -> list[str]:
 def _undecided(rows: Sequence[Row]) -> list[str]:
     open_ones = [(r.metric, r.difference.needed_end) for r in rows if r.verdict == "undecided" and _by_length(r)]
     texts = [f"{name} {'out of reach' if end is None else f'about {end:.3g} s'}" for name, end in open_ones]
-    return [f"End time predicted to decide: {', '.join(texts)}."] if texts else []
+    return _about(texts, "End time predicted to decide: {}.")
 
 
 def _differences(rows: Sequence[Row]) -> list[str]:
@@ -324,19 +322,19 @@ def _blurred(rows: Sequence[Row]) -> list[str]:
         if not r.difference.chance and r.difference.significant is False and r.difference.value
         if r.tolerance is not None or not judged
     ]
-    if not blurred:
-        return []
-    return [f"{', '.join(blurred)}: the two runs differ by no more than the predicted discretisation error."]
+    return _about(blurred, "{}: the two runs differ by no more than the predicted discretisation error.")
 
 
 def _doubts(rows: Sequence[Row]) -> list[str]:
-    doubted = [r.metric for r in rows if r.difference.value is not None and not r.difference.reliable]
-    if not doubted:
-        return []
-    return [
-        f"Uncertainty not reliable, so taken three times as wide: {', '.join(doubted)}."
-        " The runs are too short for it, or still drift."
-    ]
+    return _about(
+        [r.metric for r in rows if r.difference.value is not None and not r.difference.reliable],
+        "Uncertainty not reliable, so taken three times as wide: {}. The runs are too short for it, or still drift.",
+    )
+
+
+def _about(what: Sequence[str], text: str) -> list[str]:
+    """Return the sentence about some things, whose names stand at its "{}"; none about nothing."""
+    return [text.format(", ".join(what))] if what else []
 
 
 def _number(value: float | None) -> str:
