@@ -23,8 +23,8 @@ CASE = replace(SCENE, tolerances={"overlap_mean": 0.05, "z_mean": 0.001, "pressu
 
 def compared(scene=CASE, **options) -> Comparison:
     softer = {"overlap_mean": 2.0 * MEANS["overlap_mean"]}
-    linear = run_data("linear", 1, scene=scene, length=0.8, means=softer, tau=0.01, **options)
-    return compare(linear, run_data("hertz", 2, scene=scene, length=0.8, tau=0.01, **options))
+    options = {"scene": scene, "length": 0.8, "tau": 0.01} | options
+    return compare(run_data("linear", 1, means=softer, **options), run_data("hertz", 2, **options))
 
 
 def write(comparison: Comparison, folder: Path, text: str = "kncal run") -> Path:
@@ -93,7 +93,7 @@ def hostile(tmp_path_factory) -> Path:
     """Names full of hostile text, beds without bubbles, impact speeds on record: one report: each takes seconds."""
     scene = replace(CASE, title=HOSTILE, source=HOSTILE, tolerances={HOSTILE: 0.1})
     object.__setattr__(scene, "name", HOSTILE)  # which the class itself refuses
-    runs = [with_impacts(data, 0.05, 0.5 / 3.0) for data in compared(scene, bubble=False).runs]
+    runs = [with_impacts(data, 0.05, 0.5 / 3.0) for data in compared(scene, bubble=False, length=0.3).runs]
     return write(compare(*runs), tmp_path_factory.mktemp("hostile"), HOSTILE)
 
 
