@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Annotated, Any, Literal, Protocol
 
 from kncal import __version__
 from kncal.core.checks import Array
@@ -21,7 +21,19 @@ from kncal.record.liggghts_dump import read_trajectory
 from kncal.record.outcome import RunResult
 from kncal.record.steps import DemStep, GasFields, GasStep
 from kncal.scene.model import Plan
-from kncal.scene.scene import Jet, Scene
+from kncal.scene.scene import Depth, Jet, Scene
+from kncal.scene.values import (
+    Cells,
+    GasDensity,
+    GasSpeed,
+    GasViscosity,
+    Number,
+    Seconds,
+    Size,
+    Word,
+    checked_class,
+    within,
+)
 
 #: The recorded frames of a run, in its folder.
 FRAMES = "particles.dump"
@@ -174,7 +186,7 @@ def read_frames(model: Plan, folder: Path) -> Trajectory:
     return frames
 
 
-@dataclass(frozen=True, kw_only=True)
+@checked_class
 class GasSetup:
     """All that the gas side needs to know.
 
@@ -189,18 +201,18 @@ class GasSetup:
     parcels_per_particle : 1, 8 or 27
     """
 
-    size: tuple[float, float, float]
-    cells: tuple[int, int, int]
-    inlet: float
+    size: Size
+    cells: Cells
+    inlet: GasSpeed
     jet: Jet | None
-    density: float
-    viscosity: float
-    gravity: float
-    step: float
-    drag: str = "ErgunWenYu"
-    walls: str = "slip"
-    front_back: str = "walls"
-    parcels_per_particle: int = 1
+    density: GasDensity
+    viscosity: GasViscosity
+    gravity: Annotated[Number, within(0.0, 1e5, "m/s²")]
+    step: Seconds
+    drag: Word = "ErgunWenYu"
+    walls: Literal["slip", "noSlip"] = "slip"
+    front_back: Depth = "walls"
+    parcels_per_particle: Literal[1, 8, 27] = 1
 
 
 def gas_setup(model: Plan) -> GasSetup | None:

@@ -17,7 +17,7 @@ class BedFacts:
     Attributes
     ----------
     name : of the scene; kind : "linear" or "hertz"
-    size : box (x, y, z) [m]; cells : gas cells per axis; front_back : see `kncal.scene.scene.DEPTHS`
+    size : box (x, y, z) [m]; cells : gas cells per axis; front_back : see `kncal.scene.scene.Depth`
     count : particles; diameter [m]; density of the particles [kg/m³]; gravity [m/s²]
     gas_density : [kg/m³], 0 without gas
     jet : whether the gas enters through a jet, so that ``p_in`` is the pressure at its slot only

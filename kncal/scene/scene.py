@@ -56,7 +56,7 @@ MOST_SINGLE = 100
 #: Parcels that may share a particle's volume.
 PARCELS = (1, 8, 27)
 #: What bounds a box in y: walls, nothing (periodic), or nothing since particles are held in one layer.
-DEPTHS = ("walls", "periodic", "layer")
+Depth = Literal["walls", "periodic", "layer"]
 AT_REST = (0.0, 0.0, 0.0)
 
 _T = TypeVar("_T")
@@ -322,8 +322,8 @@ class Scene:
         return self.run.coupling is not None
 
     @property
-    def front_back(self) -> str:
-        """What bounds the box in y, one of `DEPTHS`; a layer is in the middle."""
+    def front_back(self) -> Depth:
+        """What bounds the box in y; a layer is in the middle."""
         return "layer" if self.layer else "periodic" if self.periodic else "walls"
 
     def material(self, name: str) -> Material | None:

@@ -80,12 +80,13 @@ def test_parcels_carry_the_mass_and_cannot_reach_a_wall(count: int) -> None:
     v = rng.normal(0.0, 2.0, x.shape)
     diameter, density = rng.uniform(0.5e-3, 2e-3, 300), rng.uniform(500.0, 3000.0, 300)
     parcels = Exchange(setup).parcels(x, v, diameter, density)
-    mass = np.bincount(parcels.particle_index, parcels.weight * parcels.density * parcels.diameter**3)
+    particle = np.arange(len(parcels.x)) // setup.parcels_per_particle
+    mass = np.bincount(particle, parcels.weight * parcels.density * parcels.diameter**3)
     assert mass == pytest.approx(density * diameter**3, rel=1e-14)
     for end in (parcels.x, parcels.x + setup.step * parcels.v):
         assert (end > 0.0).all() and (end < setup.size).all()
-    free = np.linalg.norm(parcels.x - x[parcels.particle_index], axis=1)
-    assert (free <= 0.5 * diameter[parcels.particle_index] + setup.step * 10.0 + 1e-5).all()
+    free = np.linalg.norm(parcels.x - x[particle], axis=1)
+    assert (free <= 0.5 * diameter[particle] + setup.step * 10.0 + 1e-5).all()
 
 
 def finished(

@@ -22,7 +22,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kncal.core.checks import Array
 from kncal.core.errors import RunError
@@ -42,7 +41,6 @@ class Parcels:
     cell : (N,) the solver's cell labels
     diameter, density : (N,) of the whole particle [m], [kg/m³]
     weight : (N,) particles per parcel, 1/k [-]
-    particle_index : (N,) row of the particle
     """
 
     x: Array
@@ -51,7 +49,6 @@ class Parcels:
     diameter: Array
     density: Array
     weight: Array
-    particle_index: NDArray[np.int64]
 
 
 class Exchange:
@@ -72,10 +69,6 @@ class Exchange:
         # Of the last step; a field in its grid is made only where one is asked for.
         self._eps_g: Array | None = None
         self._p: Array | None = None
-
-    def locate(self, x: Array) -> tuple[Array, Labels]:
-        """Return points moved just inside the mesh (n, 3), and their cell labels; see `Grid.locate`."""
-        return self.grid.locate(x)
 
     def parcels(self, x: Array, v: Array, diameter: Array, density: Array) -> Parcels:
         """Make the parcels of particles at ``x`` [m] with ``v`` [m/s] (n, 3), ``diameter`` [m], ``density`` (n,).
@@ -99,7 +92,6 @@ class Exchange:
             diameter=diameter,
             density=density,
             weight=np.full(len(x), 1.0 / k),
-            particle_index=np.arange(len(x)) // k,
         )
 
     def finish(
