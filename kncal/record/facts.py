@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 
 from kncal.core.checks import Array
 from kncal.scene.model import Plan
+from kncal.scene.scene import Depth
+from kncal.scene.values import Cells, Flag, Length, Number, Seconds, Size, Whole, Word, checked_class
 
 
-@dataclass(frozen=True, kw_only=True)
+@checked_class
 class BedFacts:
     """What stays the same during a run and is needed to understand its numbers.
 
     Attributes
     ----------
     name : of the scene; kind : "linear" or "hertz"
-    size : box (x, y, z) [m]; cells : gas cells per axis; front_back : see `kncal.scene.scene.Depth`
+    size : box (x, y, z) [m]; cells : gas cells per axis; front_back : what bounds it in y
     count : particles; diameter [m]; density of the particles [kg/m³]; gravity [m/s²]
     gas_density : [kg/m³], 0 without gas
     jet : whether the gas enters through a jet, so that ``p_in`` is the pressure at its slot only
@@ -26,20 +29,20 @@ class BedFacts:
     impact_edges : (bins + 1,) edges of the histograms of impact speeds [m/s]; empty: they were not recorded
     """
 
-    name: str
-    kind: str
-    size: tuple[float, float, float]
-    cells: tuple[int, int, int]
-    front_back: str
-    count: int
-    diameter: float
-    density: float
-    gravity: float
-    gas_density: float
-    jet: bool
-    coupling: float
-    histogram_edges: tuple[float, ...]
-    impact_edges: tuple[float, ...] = ()
+    name: Word
+    kind: Word
+    size: Size
+    cells: Cells
+    front_back: Depth
+    count: Annotated[Whole, Field(ge=0)]
+    diameter: Length
+    density: Number
+    gravity: Number
+    gas_density: Number
+    jet: Flag
+    coupling: Seconds
+    histogram_edges: Annotated[tuple[Number, ...], Field(min_length=2)]
+    impact_edges: tuple[Number, ...] = ()
 
     @property
     def impact_bins(self) -> int:
