@@ -155,16 +155,3 @@ def added(run: RunData) -> dict[str, Estimate]:
             continue
         found[name] = value if isinstance(value, Estimate) else Estimate(value=float(value))
     return found
-
-
-def observed(run: RunData) -> RunData:
-    """Return a run, observed.
-
-    Raises
-    ------
-    InputError
-        If it is too short for any average.
-    """
-    if not run.estimates:
-        raise InputError(f"{run.result.folder}: nothing was recorded that could be observed")
-    return run

@@ -13,7 +13,6 @@ from compared_beds import run_data
 from kncal.engines.settle import to_settle
 from kncal.observe.compare import compare
 from kncal.observe.difference import rows_between
-from kncal.observe.run_data import observed
 from kncal.record.steps import REACTION_LIMIT
 from kncal.runs.workflow import load
 from kncal.scene.case_file import dump_case, load_case
@@ -44,7 +43,7 @@ def candidate(how: str, factor: float | None, steps: float, model: str = "linear
 
 def mean_height(kind: str, seed: int, share: float):
     """A run whose mean height is ``share`` above 10 mm, long enough to know it to about 1 %."""
-    return observed(run_data(kind, seed, length=10.0, means={"z_mean": 0.010 * (1.0 + share)}))
+    return run_data(kind, seed, length=10.0, means={"z_mean": 0.010 * (1.0 + share)})
 
 
 @pytest.fixture(scope="module")
@@ -105,12 +104,12 @@ def test_errors_are_those_of_a_comparison_of_two_beds():
     linear, hertz = run_data("linear", 5, means={"z_mean": 0.0105}), run_data("hertz", 6)
     tolerances = {Z: 0.2, "eps_g": 0.1, "pressure_drop": 0.02, "overlap_mean": 0.001}
     rows = {row.metric: row for row in compare(linear, hertz, tolerances).rows}
-    found = errors_of(observed(linear), observed(hertz), tolerances)
+    found = errors_of(linear, hertz, tolerances)
     assert set(found) == set(rows)
     for name in tolerances:
         assert found[name].verdict == rows[name].verdict
     assert found[Z].difference.value == rows[Z].difference.value
-    two = errors_of(observed(run_data("hertz", 7)), observed(hertz), {})
+    two = errors_of(run_data("hertz", 7), hertz, {})
     assert "relative to reference" in two[Z].basis
     assert abs(two[Z].difference.value) <= 2.0 * two[Z].difference.width
 
@@ -121,7 +120,7 @@ def test_the_interval_of_a_field_decides_as_its_row_does(rms, noise, monkeypatch
     linear, hertz = run_data("linear", 5), run_data("hertz", 6)
     for limit in (0.01, 0.045, 0.06, 0.1, 0.2):
         row = compare(linear, hertz, {"eps_g": limit}).row("eps_g")
-        assert errors_of(observed(linear), observed(hertz), {"eps_g": limit})["eps_g"].verdict == row.verdict
+        assert errors_of(linear, hertz, {"eps_g": limit})["eps_g"].verdict == row.verdict
 
 
 # --- candidates and starts ----------------------------------------------------

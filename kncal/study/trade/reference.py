@@ -64,27 +64,6 @@ class Ends:
         )
 
 
-@dataclass(frozen=True, kw_only=True)
-class Found:
-    """The reference at the N where it converged."""
-
-    candidate: Candidate
-    truth: Reference
-    convergence: Convergence
-
-    @property
-    def sentence(self) -> str:
-        """How far it converged."""
-        c, within = self.convergence, f"{100.0 * self.convergence.threshold:.2g} %"
-        worst = max(c.left, key=lambda name: c.left[name], default=None)
-        left = "" if worst is None else f" Its own error is at most {100.0 * c.left[worst]:.2g} % ({worst})."
-        if c.converged:
-            how = f"converged at N = {c.chosen:g}: no judged metric moved by more than {within} from half that N."
-        else:
-            how = f"has not converged to {within} at N = {c.chosen:g}, the finest that was tried."
-        return f"The reference {how}{left}"
-
-
 def ends_of(case: str | Path, scene: Scene, reference: Contact, tried: Sequence[Contact]) -> Ends:
     """Pin the end of all runs: costs compare only over the same time, and the softest contact takes longest.
 
@@ -118,7 +97,9 @@ def converged_steps(model: Plan, threshold: float, least: float) -> float:
     return next((n for n in REFERENCE_STEPS if n >= needed), REFERENCE_STEPS[-1])
 
 
-def find_reference(runs: Runs, contact: Contact, ends: Ends, tolerances: Mapping[str, float]) -> Found:
+def find_reference(
+    runs: Runs, contact: Contact, ends: Ends, tolerances: Mapping[str, float]
+) -> tuple[Candidate, Reference, Convergence]:
     """Double N until no judged metric moves by more than a tenth of the smallest tolerance, nor has more left.
 
     Raises
@@ -139,7 +120,7 @@ def find_reference(runs: Runs, contact: Contact, ends: Ends, tolerances: Mapping
         if found.converged or 2 * tried[n].model.n_steps > _MOST_STEPS:
             break
     truth = Reference(run=tried[n], until=ends.until, contacts=ends.contacts, left=found.left)
-    return Found(candidate=candidate, truth=truth, convergence=found)
+    return candidate, truth, found
 
 
 def reference_steps(scene: Scene, steps: tuple[float, ...], tolerance: float) -> tuple[float, float]:

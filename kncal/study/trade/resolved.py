@@ -24,9 +24,9 @@ from kncal.scene.plan import plan
 from kncal.study.trade.candidates import Contact, contacts
 from kncal.study.trade.errors import Reference, contact_rows, split_errors, worst_errors
 from kncal.study.trade.front import USUAL_STEPS, pareto, worst_ratio
-from kncal.study.trade.reference import REFERENCE_STEPS, Found, converged_steps, ends_of, find_reference
+from kncal.study.trade.reference import REFERENCE_STEPS, converged_steps, ends_of, find_reference
 from kncal.study.trade.runs import Runs
-from kncal.study.trade.trade import Candidate, ErrorSplit, TradePoint
+from kncal.study.trade.trade import Candidate, Convergence, ErrorSplit, TradePoint
 from kncal.study.trade.trials import Trials
 
 #: Of a budget, what screening may take; and runs that are started together under one: screened, timed.
@@ -39,7 +39,8 @@ class Resolved(Trials):
     """Errors by the builtin engine, cost by the solver."""
 
     cost, fixed = "steps", "the start of the solver"
-    found: Found
+    truth: Reference
+    convergence: Convergence
     solved: Runs
 
     def __init__(self, *args: Any) -> None:
@@ -74,8 +75,8 @@ class Resolved(Trials):
     def run(self) -> None:
         """See `Trials.run`; what tells most first."""
         self.tell(f"reference: Hertz, N doubled from {REFERENCE_STEPS[0]:g} until it converges")
-        self.found = find_reference(self.runs, self._first, self.ends, self.options.tolerances)
-        self.reference, self.convergence = self.found.candidate, self.found.convergence
+        found = find_reference(self.runs, self._first, self.ends, self.options.tolerances)
+        self.reference, self.truth, self.convergence = found
         n, threshold = self.reference.steps_per_contact, self.convergence.threshold
         finest = {kind: converged_steps(self._planned(kind), threshold, n) for kind in KINDS}
         self._converged = {c.name: c.at(finest[c.model], self.ends.changes) for c in self._tried}
@@ -128,7 +129,7 @@ class Resolved(Trials):
         if candidate.name not in self._errors:
             run = self._data(candidate)
             tolerances, converged = self.options.tolerances, self._data(self._fine(candidate))
-            rows = contact_rows(self.found.truth, run, converged, self._worst_of(run), tolerances)
+            rows = contact_rows(self.truth, run, converged, self._worst_of(run), tolerances)
             self._errors[candidate.name] = rows
         return self._errors[candidate.name]
 
@@ -137,7 +138,7 @@ class Resolved(Trials):
         return {p.candidate.name: self._split(p.candidate) for p in points}
 
     def _split(self, candidate: Candidate) -> tuple[ErrorSplit, ...]:
-        truth: Reference = self.found.truth
+        truth = self.truth
         run, converged = self._data(candidate), self._data(self._fine(candidate))
         hertz = candidate.model == "hertz"
         unsoftened = truth.run if hertz else self._data(self._converged[self._tried[0].name])
@@ -175,10 +176,10 @@ class Resolved(Trials):
 
     def caveats(self, reference: TradePoint, points: Sequence[TradePoint], load: float) -> Sequence[str]:
         """See `Trials.caveats`."""
-        told = [*self.ends.sentences, self.found.sentence, *self._of_times(reference, points, load)]
+        told = [*self.ends.sentences, self.convergence.sentence, *self._of_times(reference, points, load)]
         off = None if self.solved is self.runs else self._agreement()
         if off is not None:
-            far = "" if off <= self.found.convergence.threshold else ", too much to judge by: please report it"
+            far = "" if off <= self.convergence.threshold else ", too much to judge by: please report it"
             engines = f"Errors are by the engine {self.runs.engine}; {self.solved.engine} differs by"
             told.append(f"{engines} {off:.1e} at most{far}.")
         return told
@@ -204,7 +205,7 @@ class Resolved(Trials):
 
     def _agreement(self) -> float | None:
         """Return the largest relative difference of metrics between the two engines [-]; None: nothing in common."""
-        names = self.found.truth.names()
+        names = self.truth.names()
         both = [(self.runs.data[n], solved) for n, solved in self.solved.data.items() if n in self.runs.data]
         pairs = [(a.estimate(name).value, b.estimate(name).value) for a, b in both for name in names]
         return max((abs(b - a) / abs(b) for a, b in pairs if a is not None and b), default=None)

@@ -167,6 +167,17 @@ class Convergence:
     threshold: float
     converged: bool
 
+    @property
+    def sentence(self) -> str:
+        """How far the reference converged."""
+        within, worst = f"{100.0 * self.threshold:.2g} %", max(self.left, key=self.left.__getitem__, default=None)
+        left = "" if worst is None else f" Its own error is at most {100.0 * self.left[worst]:.2g} % ({worst})."
+        if self.converged:
+            how = f"converged at N = {self.chosen:g}: no judged metric moved by more than {within} from half that N."
+        else:
+            how = f"has not converged to {within} at N = {self.chosen:g}, the finest that was tried."
+        return f"The reference {how}{left}"
+
 
 @dataclass(frozen=True, kw_only=True)
 class Trade:

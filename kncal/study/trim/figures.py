@@ -7,8 +7,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kncal.report.page import Figure
-from kncal.report.style import Album, new_axes
-from kncal.study.trim.trim import EITHER, KEEP, LEAVE_OUT, MATTERS, NOT_NEEDED, UNDECIDED, PartResult, Trim, share
+from kncal.report.style import Album, bare, new_axes
+from kncal.study.trim.trim import (
+    EITHER,
+    KEEP,
+    LEAVE_OUT,
+    MATTERS,
+    NOT_NEEDED,
+    UNDECIDED,
+    CostChange,
+    PartResult,
+    Trim,
+    share,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,21 +34,21 @@ _SMALLEST = 1e-4
 def draw_figures(found: Trim, folder: Path) -> tuple[Figure, ...]:
     """Write the figures that the results allow into ``folder``, as PNG and SVG."""
     album = Album(folder)
-    run = [r for r in found.results if r.cost is not None]
-    if run:
-        measured = any(r.cost is not None and r.cost.cpu is not None for r in run)
-        spread = any(r.cost is not None and r.cost.cpu_low is not None for r in run)
+    costs = [(r, r.cost) for r in found.results if r.cost is not None]
+    if costs:
+        measured = any(cost.cpu is not None for _, cost in costs)
+        spread = any(cost.cpu_low is not None for _, cost in costs)
         rounds = "; lines: smallest and largest of the rounds" if spread else ""
         album.add(
             "cost",
-            _cost(run),
+            _cost(costs, measured=measured),
             f"What each part costs in {'CPU time' if measured else 'steps'}{rounds}. {_MEANING}",
             "Bars of the cost of each part.",
         )
-    if with_share := [r for r in run if r.effects]:
+    if seen := [r for r, _ in costs if r.effects]:
         album.add(
             "effect",
-            _effect(with_share, judged=bool(found.tolerances)),
+            _effect(seen, judged=bool(found.tolerances)),
             "The effect of each part that uses most of its limit; lines: its uncertainty. Surely left of the limit:"
             f" without effect. {_MEANING}",
             "Bars of the largest effect of each part over its limit.",
@@ -49,26 +60,23 @@ def _axes(results: Sequence[PartResult]) -> Axes:
     ax = new_axes(5.6, 1.3 + 0.36 * len(results))
     ax.set_yticks(range(len(results)), [r.part.name for r in results])
     ax.set_ylim(len(results) - 0.4, -0.6)
-    for side in ("top", "right"):
-        ax.spines[side].set_visible(False)
-    ax.grid(axis="x", color="#d5d9de", linewidth=0.6)
-    ax.set_axisbelow(True)
+    bare(ax)
     return ax
 
 
-def _cost(results: Sequence[PartResult]) -> Axes:
-    ax = _axes(results)
-    measured = any(r.cost is not None and r.cost.cpu is not None for r in results)
-    for row, result in enumerate(results):
-        cost = result.cost
-        if cost is None:
-            continue
-        value = cost.cpu if measured else cost.steps
-        if value is None:
-            continue
-        ax.barh(row, 100.0 * value, height=0.6, color=_COLOURS[result.verdict])
-        if measured and cost.cpu_low is not None and cost.cpu_high is not None:
-            ax.plot([100.0 * cost.cpu_low, 100.0 * cost.cpu_high], [row, row], color="black", linewidth=1.4)
+def _bar(ax: Axes, row: int, result: PartResult, value: float, ends: tuple[float, float] | None, left: float) -> None:
+    ax.barh(row, value - left, left=left, height=0.6, color=_COLOURS[result.verdict])
+    if ends is not None:
+        ax.plot(ends, [row, row], color="black", linewidth=1.4)
+
+
+def _cost(costs: Sequence[tuple[PartResult, CostChange]], *, measured: bool) -> Axes:
+    ax = _axes([r for r, _ in costs])
+    for row, (result, cost) in enumerate(costs):
+        value, low, high = (cost.cpu, cost.cpu_low, cost.cpu_high) if measured else (cost.steps, None, None)
+        if value is not None:
+            ends = None if low is None or high is None else (100.0 * low, 100.0 * high)
+            _bar(ax, row, result, 100.0 * value, ends, 0.0)
     ax.axvline(0.0, color="black", linewidth=0.8)
     ax.set_xlabel(f"cost of having it, % {'CPU time' if measured else 'steps'}")
     return ax
@@ -79,28 +87,17 @@ def _effect(results: Sequence[PartResult], *, judged: bool) -> Axes:
     ax.set_xscale("log")
     largest = 1.0
     for row, result in enumerate(results):
-        worst = result.worst
-        used = None if worst is None else share(worst)
-        if worst is None or used is None or worst.difference.value == 0.0:
-            gone = any(row.verdict == "outside" for row in result.effects)
-            equal = all(not row.difference.value for row in result.effects if row.seen)
+        used = None if result.worst is None else share(result.worst)
+        if result.worst is None or used is None or result.worst.difference.value == 0.0:
+            gone = any(effect.verdict == "outside" for effect in result.effects)
+            equal = not any(effect.difference.value for effect in result.effects)
             text = "a metric is gone" if gone else "no change at all" if equal else "not known"
             ax.text(1.15 * _SMALLEST, row, text, va="center", fontsize=9, color="#5a6470")
             continue
-        size, width = max(used[0], _SMALLEST), used[1]
-        ax.barh(row, size - _SMALLEST, left=_SMALLEST, height=0.6, color=_COLOURS[result.verdict])
-        if width > 0.0:
-            ends = [max(used[0] - width, _SMALLEST), max(used[0] + width, _SMALLEST)]
-            ax.plot(ends, [row, row], color="black", linewidth=1.4)
-        ax.annotate(
-            worst.metric,
-            (max(size, used[0] + width), row),
-            (4, 0),
-            textcoords="offset points",
-            va="center",
-            fontsize=9,
-        )
-        largest = max(largest, used[0] + width)
+        low, value, high = (max(used[0] + sign * used[1], _SMALLEST) for sign in (-1.0, 0.0, 1.0))
+        _bar(ax, row, result, value, (low, high), _SMALLEST)
+        ax.annotate(result.worst.metric, (high, row), (4, 0), textcoords="offset points", va="center", fontsize=9)
+        largest = max(largest, high)
     ax.set_xlim(_SMALLEST, 30.0 * largest)
     ax.axvline(1.0, color="black", linewidth=1.0, linestyle=(0, (5, 2)))
     ax.set_xlabel("largest effect over its " + ("tolerance" if judged else "uncertainty"))
