@@ -57,13 +57,6 @@ def kind_of(code: str) -> str:
     return "note" if code == "attraction" else "warning"
 
 
-def percent(share: float | None) -> str:
-    """Return a share with its sign in percent."""
-    from kncal.core.units import percent as in_percent
-
-    return in_percent(share)
-
-
 def words(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     """Print a table of text, wrapped to the terminal."""
     table(title, columns, rows, text=range(len(columns)), fold=True)

@@ -72,11 +72,6 @@ class Cost:
         """Simulated time [s]."""
         return self.couplings * self.coupling if self.couplings else self.steps * self.dt
 
-    @property
-    def exchange_share(self) -> float | None:
-        """Share of the total that is neither solver [-]; None for a run that took no time."""
-        return self.exchange / self.total if self.total > 0.0 else None
-
 
 @dataclass(frozen=True, kw_only=True)
 class Speed:

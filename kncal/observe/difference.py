@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -29,15 +28,6 @@ PATHS = ("trajectory", "trajectory_rms")
 FIELDS = ("eps_g",)
 
 
-class PathDifference(NamedTuple):
-    """How far two paths are apart: a row per name of `PATHS`, the length they are divided by, and over which time."""
-
-    rows: tuple[Row, ...]
-    scale: float
-    basis: str
-    common_time: tuple[float, float]
-
-
 def rows_between(
     run: RunData, reference: RunData, tolerances: Mapping[str, float], names: tuple[str, str] = ("linear", "hertz")
 ) -> tuple[Row, ...]:
@@ -47,7 +37,7 @@ def rows_between(
     """
     whole: dict[str, Row] = {}
     if run.frames is not None and reference.frames is not None:
-        whole = {row.metric: row for row in path_difference(run.frames, reference.frames).rows}
+        whole = {row.metric: row for row in path_difference(run.frames, reference.frames)}
     if run.signals is not None and reference.signals is not None:
         whole |= {name: field_row(name, run, reference) for name in FIELDS if not reference.why_not(name)}
     rows = (
@@ -140,8 +130,10 @@ def _natural(name: str, unit: str, run: RunData) -> tuple[float, str]:
     return scales.get(unit, (0.0, ""))
 
 
-def path_difference(motion: Trajectory, reference: Trajectory, until: float | None = None) -> PathDifference:
-    """Compare two paths of the same particles at equal times; between frames by the cubic Hermite interpolant.
+def path_difference(motion: Trajectory, reference: Trajectory, until: float | None = None) -> tuple[Row, ...]:
+    """Return a row per name of `PATHS` of two paths of the same particles at equal times.
+
+    Between frames the motion is the cubic Hermite interpolant.
 
     Parameters
     ----------
@@ -160,13 +152,12 @@ def path_difference(motion: Trajectory, reference: Trajectory, until: float | No
         seen = seen if until is None else there
     length, basis = extent(seen, reference.radius)
     none = "the two runs have no common time span"
-    rows = tuple(
+    return tuple(
         row_of(name, missing(""), missing(""), missing(none), reason=none)
         if distance is None
         else row_of(name, missing(""), missing(""), Estimate(value=distance / length), scale=length, basis=basis)
         for name, distance in zip(PATHS, distances, strict=True)
     )
-    return PathDifference(rows, length, basis, (start, end))
 
 
 def extent(x: Array, radius: Array) -> tuple[float, str]:

@@ -199,7 +199,6 @@ def test_costs_are_split_and_the_speed_is_that_of_the_particles(different):
     assert different.speed.total == pytest.approx(42.0 / 18.0)
     linear, hertz = (d.result.steps for d in different.runs)
     assert different.speed.steps == hertz / linear
-    assert different.costs[0].exchange_share == pytest.approx(1.0 / 18.0)
 
 
 def test_the_comparison_is_plain_json(different, tmp_path):

@@ -52,7 +52,7 @@ class Reference:
 
     def differences(self, run: RunData, more: tuple[str, ...] = ()) -> dict[str, Row]:
         """Return the differences of ``run`` from the reference, metric by metric."""
-        paths = {row.metric: row for row in path_difference(run.trajectory, self.run.trajectory, self.until).rows}
+        paths = {row.metric: row for row in path_difference(run.trajectory, self.run.trajectory, self.until)}
         return {
             name: paths[name] if name in PATHS else value_row(name, run, self.run, NAMES) for name in self.names(more)
         }
@@ -60,7 +60,7 @@ class Reference:
     def step(self, name: str, scale: float, a: RunData, b: RunData) -> float | None:
         """Return how far ``a`` is from ``b`` in one metric, by ``scale`` (of the reference) [-]; None: not known."""
         if name in PATHS:
-            rows = path_difference(a.trajectory, b.trajectory, self.until).rows
+            rows = path_difference(a.trajectory, b.trajectory, self.until)
             (row,) = (row for row in rows if row.metric == name)
             moved = row.difference.value
             return None if moved is None or row.scale is None else moved * row.scale / scale
