@@ -156,19 +156,24 @@ def first_impact_speed(scene: Scene) -> float | None:
     return min(touches)[1] if touches else None
 
 
-def _contacts(
+def species_contacts(
     scene: Scene,
     kind: str,
-    needs: Needs,
-    first_speed: Callable[[Scene], float | None],
     overlaps: Mapping[SpeciesPair, float],
+    *,
+    first_speed: Callable[[Scene], float | None] | None = None,
+    needs: Needs | None = None,
 ) -> tuple[dict[SpeciesPair, PairContact], dict[SpeciesPair, PairContact]]:
-    """The contacts of the pairs of species that meet, with their overlap at t = 0 [m], and of those that do not."""
-    species = species_of(scene)
-    uses = {name: needs.uses(name) for name in ("tangential", "rolling")}
+    """Return the contacts of the pairs of species in ``overlaps``, and of the other pairs, which do not meet.
+
+    Of the others those that cannot be calibrated are missing. ``overlaps``: at t = 0 [m]; ``first_speed``: as of
+    `pair_choice`; ``needs``: friction that it does not name is left out, None: all of it stays.
+    """
+    species, speed = species_of(scene), first_speed or speed_once()
+    uses = {name: needs is None or needs.uses(name) for name in ("tangential", "rolling")}
 
     def made(which: SpeciesPair, overlap: float) -> PairContact:
-        return smooth(contact_of(scene, *species.bodies(which), kind, first_speed, overlap), **uses)
+        return smooth(contact_of(scene, *species.bodies(which), kind, speed, overlap), **uses)
 
     met = {which: made(which, overlap) for which, overlap in overlaps.items()}
     unmet = {}
@@ -185,7 +190,7 @@ def _few(scene: Scene, kind: str, needs: Needs, first_speed: Callable[[Scene], f
     for a, b in scene.body_pairs():  # of a gap nothing depends
         which = species.pair_of((a.name, b.name))
         overlaps[which] = max(overlaps.get(which, 0.0), initial_overlap(a, b))
-    contacts, unmet = _contacts(scene, kind, needs, first_speed, overlaps)
+    contacts, unmet = species_contacts(scene, kind, overlaps, first_speed=first_speed, needs=needs)
     given = Plan(scene=scene, kind=kind, needs=needs, contacts=contacts, unmet=unmet, dt=math.nan)
     dt = scene.run.dt if scene.run.dt is not None else given.shortest / scene.run.steps_per_contact
     return replace(given, dt=dt, record_every=scene.run.record_every)
@@ -227,7 +232,7 @@ def _coupled(scene: Scene, kind: str, needs: Needs) -> Plan:
     contacts: dict[SpeciesPair, PairContact] = {}
     if needs.uses("liggghts"):
         overlaps = dict.fromkeys(species_of(scene).pairs(), 0.0)
-        contacts, _ = _contacts(scene, kind, needs, first_impact_speed, overlaps)
+        contacts, _ = species_contacts(scene, kind, overlaps, needs=needs)
     wish, t_end = scene.run.coupling or math.inf, scene.run.until_time or math.inf  # checked: both are given
     shortest = min((c.t_c for c in contacts.values()), default=math.inf)
     dt = min(shortest / scene.run.steps_per_contact, wish)

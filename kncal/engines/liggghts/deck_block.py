@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cache
 from typing import Literal, cast
 
 from kncal.core.checks import in_range, instance, one_of, plain_name, single
-from kncal.core.errors import CaseFileError, InputError, ValidityError
+from kncal.core.errors import InputError
 from kncal.core.shipped import folder as shipped_folder
 from kncal.core.templating import render
 from kncal.engines.liggghts.deck_tables import STYLES, AtomType, atom_types, contact_context
@@ -16,7 +15,7 @@ from kncal.physics.matrix import PairMatrix
 from kncal.physics.timestep import usual_steps
 from kncal.scene.model import PairContact
 from kncal.scene.pair_contact import PairNumbers, Rest, pair_contact
-from kncal.scene.plan import contact_of, first_impact_speed
+from kncal.scene.plan import species_contacts
 from kncal.scene.scene import ContactChoice, Scene
 from kncal.scene.species import species_of
 
@@ -123,21 +122,9 @@ def case_block(scene: Scene, style: str = "hooke/stiffness", steps_per_contact: 
     InputError, RenderError
         As `liggghts_block`.
     """
-    kind = STYLES[one_of("style", style, STYLES)]
-    types, contacts = _scene_contacts(scene, kind)
+    kind, species = STYLES[one_of("style", style, STYLES)], species_of(scene)
+    meeting = dict.fromkeys((pair for pair in species.pairs() if species.meetings(pair)), 0.0)
+    met, unmet = species_contacts(scene, kind, meeting)
+    types = atom_types(species)
+    contacts = {(types[i].name, types[j].name): contact for (i, j), contact in (met | unmet).items()}
     return liggghts_block(types, contacts, style, steps_per_contact)
-
-
-def _scene_contacts(scene: Scene, kind: str) -> tuple[list[AtomType], Contacts]:
-    species = species_of(scene)
-    speed = cache(lambda: first_impact_speed(scene))  # it looks at every pair
-    contacts = {}
-    for which in species.pairs():
-        a, b = species.bodies(which)
-        names = (species.members[which[0]][0].name, species.members[which[1]][0].name)
-        try:
-            contacts[names] = contact_of(scene, a, b, kind, lambda _: speed(), 0.0)
-        except (CaseFileError, ValidityError):
-            if species.meetings(which):  # else nobody asked for it, and the block says that it lacks it
-                raise
-    return atom_types(species), contacts
