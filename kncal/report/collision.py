@@ -12,6 +12,7 @@ from kncal.core.errors import InputError
 from kncal.physics.calibration import Calibration
 from kncal.physics.impact import impact_path
 from kncal.report.plots import Line, force_loops, overlap_time
+from kncal.report.style import save_picture
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,10 +63,6 @@ def plot_collision(calibration: Calibration, picture: Path) -> None:
     InputError
         For another file type, or a folder that does not exist.
     """
-    if picture.suffix not in (".png", ".svg"):
-        raise InputError(f"{picture}: expected a name that ends in .png or .svg")
-    if not picture.parent.is_dir():
-        raise InputError(f"{picture}: the folder {picture.parent} does not exist")
     from matplotlib.figure import Figure
 
     paths = collision_paths(calibration)
@@ -75,4 +72,4 @@ def plot_collision(calibration: Calibration, picture: Path) -> None:
     left, right = figure.subplots(1, 2)
     overlap_time({}, over, left)
     force_loops({}, loop, right)
-    figure.savefig(picture, dpi=130)
+    save_picture(figure, picture)

@@ -13,7 +13,7 @@ from kncal.core.units import quantity
 from kncal.observe.impact_speeds import KINDS_OF_IMPACTS, STATISTICS, ImpactSpeeds, bed_impact_speeds
 from kncal.observe.run_data import RunData
 from kncal.report.page import Section, Table
-from kncal.report.style import Album, dress, model_name, new_axes
+from kncal.report.style import Album, dress, model_name, new_axes, save_picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -129,8 +129,4 @@ def plot_impact_speeds(speeds: Mapping[str, ImpactSpeeds], path: Path, title: st
     InputError
         If there was no impact, or the file is not of a kind that is drawn.
     """
-    if path.suffix not in (".png", ".svg"):
-        raise InputError(f"{path}: expected a picture name that ends in .png or .svg")
-    figure = impact_speeds(speeds, title).get_figure(root=True)
-    if figure is not None:
-        figure.savefig(path, dpi=130, metadata={"Software": None} if path.suffix == ".png" else {"Date": None})
+    save_picture(impact_speeds(speeds, title).get_figure(root=True), path)

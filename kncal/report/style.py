@@ -25,6 +25,9 @@ STYLES: Mapping[str, dict[str, Any]] = {
 CYCLE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9", "#000000")
 DASHES = ("-", (0, (5, 2)), (0, (5, 1.5, 1, 1.5)), (0, (1, 1.5)), (0, (8, 2)), (0, (3, 1, 1, 1, 1, 1)), "-")
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+#: Dots per inch of a PNG, and what keeps its date out of a file: the same data give the same bytes.
+_DPI = 130
+_DATELESS: Mapping[str, dict[str, None]] = {".png": {"Software": None}, ".svg": {"Date": None, "Creator": None}}
 #: Wider figures than this [inch] take the whole width of a page.
 _COLUMN = 6.0
 
@@ -66,10 +69,25 @@ def save(ax: Axes, folder: Path, name: str) -> tuple[Path, Path]:
         raise InputError(f"picture {name}: the axes have been removed from their figure")
     png, svg = folder / f"{name}.png", folder / f"{name}.svg"
     with rc_context({"svg.hashsalt": name}):
-        figure.savefig(png, dpi=130, metadata={"Software": None})
+        save_picture(figure, png)
         figure.set_layout_engine("none")  # the places are found: to find them again takes longer than to draw
-        figure.savefig(svg, metadata={"Date": None, "Creator": None})
+        save_picture(figure, svg)
     return png, svg
+
+
+def save_picture(figure: Any, picture: Path) -> None:
+    """Write a figure into one file, .png or .svg.
+
+    Raises
+    ------
+    InputError
+        For another file type, or a folder that does not exist.
+    """
+    if picture.suffix not in (".png", ".svg"):
+        raise InputError(f"{picture}: expected a name that ends in .png or .svg")
+    if not picture.parent.is_dir():
+        raise InputError(f"{picture}: the folder {picture.parent} does not exist")
+    figure.savefig(picture, dpi=_DPI, metadata=_DATELESS[picture.suffix])
 
 
 class Album:
