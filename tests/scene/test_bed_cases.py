@@ -81,7 +81,7 @@ def test_a_large_column_costs_no_more(tmp_path: Path) -> None:
     """The grain of the shipped case far from all walls, by the command line: its slip, and what it cost."""
     if find() is None:
         pytest.skip("too slow by restarts; the adapter of the live transport is not built: kncal adapter build")
-    sets = ["column.width=0.1", "column.depth=0.1", "column.height=0.2", "particles.positions=[[0.05,0.05,0.1]]"]
+    sets = ["walls.column.size=[0.1,0.1,0.2]", "particles.beads.position=[0.05,0.05,0.1]"]
     sets += ["run.until_time=0.075", "run.coupling=1.5e-3"]
     out = tmp_path / "run"
     arguments = ["run", "terminal_velocity", "--model", "linear", "--out", str(out)]
