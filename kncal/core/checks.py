@@ -116,9 +116,9 @@ class Range:
         return in_range(name, value, self.low, self.high, low_open=self.low_open, unit=self.unit, hint=self.hint)
 
     def __call__(self, value: float) -> float:
-        """Return a number as it is, checked."""
+        """Return a number as it is, checked; 0 for -0."""
         self.check("value", value)
-        return value
+        return value + 0
 
 
 def single(name: str, value: ArrayLike) -> float:

@@ -19,11 +19,12 @@ from kncal.physics.material import Material
 from kncal.physics.methods import METHODS
 from kncal.physics.statistics import MIN_SAMPLES
 from kncal.scene.bodies import AXES, RIGID
+from kncal.scene.case_text import toml_value
 from kncal.scene.metrics import COUPLED, FEW_PARTICLES, METRICS, offered, split_metric
 from kncal.scene.needs import OVERRULABLE
 from kncal.scene.placement import PLACEMENTS
 from kncal.scene.scene import AT_REST, MOST_SINGLE, Particles, Scene
-from kncal.scene.values import MOST_CELLS
+from kncal.scene.values import MOST_CELLS, NAME
 from kncal.scene.walls import BoxWall, PlaneWall
 
 Path = tuple[str | int, ...]
@@ -72,6 +73,17 @@ def _names(scene: Scene) -> Iterator[Problem]:
         if name in taken:
             yield (kind, name), f"name = {name!r} is taken by {taken[name]}: expected a name of its own"
         taken.setdefault(name, f"[{kind}.{name}]")
+    if scene.coupled:
+        return
+    for name, group in scene.particles.items():  # of several particles each has a name
+        own = [f"{name}.{i}" for i in range(1, len(group.centres) + 1)] if len(group.centres) > 1 else []
+        for member in (m for m in own if m in taken):
+            yield (
+                ("particles", name),
+                f"its {member!r} is called as {taken[member]}: expected a name of its own",
+            )
+        if own and not NAME.fullmatch(own[-1]):
+            yield ("particles", name), f"a name for {len(own)} particles: expected at most 61 letters"
 
 
 def _metrics_and_needs(scene: Scene) -> Iterator[Problem]:
@@ -107,8 +119,10 @@ def _contact(scene: Scene) -> Iterator[Problem]:
 
 
 def _exceptions(scene: Scene) -> Iterator[Problem]:
+    if not scene.coupled and len(scene.spheres) > MOST_SINGLE:
+        return  # `_single` refuses them
     spheres, walls = [set(s.names) for s in scene.spheres], [set(w.names) for w in scene.planes]
-    known = sorted(set().union(*spheres, *walls))
+    known = sorted({*scene.particles, *scene.walls}.union(*spheres, *walls))
     for i, choice in enumerate(scene.contact.pairs):
         path: Path = ("contact", "pairs", i)
         unknown = [name for name in choice.between if name not in known]
@@ -152,9 +166,13 @@ def _run(scene: Scene) -> Iterator[Problem]:
 def _single(scene: Scene) -> Iterator[Problem]:
     """What bodies must be of which each is planned and observed by itself."""
     for name, group in scene.particles.items():
-        for key, usual in (("place", "given"), ("frozen", False), ("settle_k_n", None)):
+        for key, usual in (("place", "given"), ("count", None), ("seed", 1), ("frozen", False), ("settle_k_n", None)):
             if (value := getattr(group, key)) != usual:
-                yield ("particles", name, key), f"{key} = {_toml(value)}: expected run.coupling [s] and a box with it"
+                yield (
+                    ("particles", name, key),
+                    f"{key} = {toml_value(value)}: expected run.coupling [s] and a box with it",
+                )
+        yield from _one_of_two(name, group)
         if not group.centres:
             yield ("particles", name), "position: missing: expected position = [x, y, z] of the centre [m]"
     for name, wall in scene.walls.items():
@@ -172,13 +190,19 @@ def _single(scene: Scene) -> Iterator[Problem]:
             f"{number} particles, each of which is planned and observed by itself: expected at most {MOST_SINGLE}, or "
             "run.coupling [s] for a box of many",
         )
-    elif number == 1 and not scene.walls:
+        return
+    if number == 1 and not scene.walls:
         yield (
             ("particles",),
             "a single particle and no wall: nothing can touch, so there is no contact to calibrate: expected a second "
             "particle or a wall",
         )
     yield from _apart(scene)
+
+
+def _one_of_two(name: str, group: Particles) -> Iterator[Problem]:
+    if group.position is not None and group.positions:
+        yield ("particles", name, "position"), "given together with positions: expected one of them"
 
 
 def _apart(scene: Scene) -> Iterator[Problem]:
@@ -234,7 +258,7 @@ def _coupled(scene: Scene) -> Iterator[Problem]:
         yield ("particles", name), "a second group with run.coupling: expected one group of equal spheres"
     for key, allowed in (("periodic", ((), ("y",))), ("layer", (None, "y"))):
         if (value := getattr(scene, key)) not in allowed:
-            yield (key,), f"{key} = {_toml(value)}: expected only y, the depth"
+            yield (key,), f"{key} = {toml_value(value)}: expected only y, the depth"
     if scene.periodic and scene.layer:
         yield ("layer",), "given together with periodic: expected one of them"
     x, y, z = scene.gravity
@@ -256,6 +280,7 @@ def _group(scene: Scene) -> Iterator[Problem]:
                 f"size = {list(box.size)}: {axis} = {size:g}: expected at least a particle's diameter, "
                 f"{group.diameter:g} m",
             )
+    yield from _one_of_two(name, group)
     if group.settle_k_n is not None and group.place != "settled":
         yield (*path, "settle_k_n"), f'given together with place = "{group.place}": expected "settled"'
     if group.place != "given":
@@ -263,7 +288,7 @@ def _group(scene: Scene) -> Iterator[Problem]:
             key = "positions" if group.position is None else "position"
             yield (*path, key), f'given together with place = "{group.place}": expected place = "given"'
         elif group.count is None:
-            yield (*path, "count"), "count: missing: expected number of particles"
+            yield (*path, "count"), "missing: expected number of particles"
         volume = group.number * np.pi / 6.0 * group.diameter**3
         if volume > DENSEST * box.volume:
             share = volume / box.volume if box.volume > 0.0 else np.inf  # the product of small sides may be 0
@@ -272,7 +297,9 @@ def _group(scene: Scene) -> Iterator[Problem]:
                 f"count = {group.number}: fills {share:.3g} of the box: expected at most {DENSEST:g}",
             )
         return
-    if group.count not in (None, len(group.centres)):
+    if group.count is None and not group.centres:
+        yield (*path, "count"), "missing: expected number of particles, or position or positions of them"
+    elif group.count not in (None, len(group.centres)):
         yield (*path, "positions"), f"{len(group.centres)} of them: expected as many as count, {group.count}"
     elif group.centres:
         yield from _places(scene, path, group, box)
@@ -294,13 +321,13 @@ def _places(scene: Scene, path: Path, group: Particles, box: BoxWall) -> Iterato
     if scene.layer and off.size:
         where, key = at(int(off[0]))
         yield where, f"{key}: y = {x[off[0], 1]:g}: expected {0.5 * box.depth:g}, the middle plane of the layer"
-    for i, k in _too_close(x, 0.5 * group.diameter * (1.0 - 1e-12)):
+    for i, k in _too_close(x, 0.5 * group.diameter * (1.0 - 1e-12), box.depth if scene.periodic else 0.0):
         where, key = at(k)
         yield where, f"{key} = {x[k].tolist()}: overlaps positions[{i}] by more than a radius: expected less"
 
 
-def _too_close(x: Array, limit: float) -> list[tuple[int, int]]:
-    """Return up to three pairs of rows of ``x`` (n, 3) that are closer than ``limit``.
+def _too_close(x: Array, limit: float, period: float = 0.0) -> list[tuple[int, int]]:
+    """Return up to three pairs of rows of ``x`` (n, 3) that are closer than ``limit``; ``period`` in y, 0 for none.
 
     n particles in one place are n²/2 pairs. So first it is looked for two in one box whose diagonal is the limit; where
     each box holds one at most, few can be close to any.
@@ -312,7 +339,9 @@ def _too_close(x: Array, limit: float) -> list[tuple[int, int]]:
         return [(int(earlier[k]), int(k)) for k in shared[:3]]
     from scipy.spatial import cKDTree
 
-    return sorted(cKDTree(x).query_pairs(limit))[:3]
+    if period:
+        x = np.stack([x[:, 0], x[:, 1] % period, x[:, 2]], axis=1)
+    return sorted(cKDTree(x, boxsize=np.array([0.0, period, 0.0])).query_pairs(limit))[:3]
 
 
 def _calibrated(scene: Scene) -> Iterator[Problem]:
@@ -341,6 +370,8 @@ def _gas(scene: Scene) -> Iterator[Problem]:
     if gas is None:
         if not scene.group.number:
             yield ("particles",), "no particles and no gas: expected one of them"
+        elif scene.group.frozen:
+            yield ("particles", *scene.particles, "frozen"), "true, and no gas: nothing moves: expected [gas], or false"
         return
     yield from known_name(("gas", "drag"), gas.drag, DRAGS)
     if (cells := math.prod(gas.cells)) > MOST_CELLS:
@@ -398,10 +429,6 @@ def _by_kind(scene: Scene) -> Iterator[Problem]:
 
 def _box_name(scene: Scene) -> str:
     return next(name for name, wall in scene.walls.items() if isinstance(wall, BoxWall))
-
-
-def _toml(value: object) -> str:
-    return f'"{value}"' if isinstance(value, str) else str(value).lower()
 
 
 _FIRST: tuple[Callable[[Scene], Iterator[Problem]], ...] = (_materials, _names)

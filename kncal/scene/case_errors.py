@@ -48,11 +48,17 @@ def _about_keys(error: ErrorDetails, path: KeyPath, known: Mapping[str, str]) ->
         inside = ", ".join(table_at((*error["loc"], "")))
         return path, f"{_shown(path)} = {short(error['input'])}: expected a table with {inside}"
     if kind == "union_tag_invalid":
-        path, tag = (*path, "shape"), str(error["ctx"]["tag"])
-        return path, f"{_shown(path)} = {short(tag)}: {_instead(tag, list(WALLS))}"
+        return _no_such_shape(error, path)
     if last == "[key]":
         return path[:-1], f"{_shown(path[:-2])}: key {short(path[-2])}: {_cause(error)}"
     return None
+
+
+def _no_such_shape(error: ErrorDetails, path: KeyPath) -> Fault:
+    if not isinstance(error["input"], Mapping):
+        return path, f"{_shown(path)} = {short(error['input'])}: expected a table with shape, {', '.join(WALLS)}"
+    path, tag = (*path, "shape"), str(error["ctx"]["tag"])
+    return path, f"{_shown(path)} = {short(tag)}: {_instead(tag, list(WALLS))}"
 
 
 def _about_value(error: ErrorDetails, path: KeyPath, known: Mapping[str, str], tables: Mapping[str, Any]) -> Fault:
@@ -140,7 +146,8 @@ _EXPECTED = {
 def _cause(error: ErrorDetails) -> str:
     """The "expected ..." part of a message of our own, or what pydantic says."""
     if error["type"] == "literal_error":
-        return _instead(str(error["input"]), re.findall(r"'([^']*)'", str(error.get("ctx", {}).get("expected", ""))))
+        choices = str(error.get("ctx", {}).get("expected", ""))
+        return _instead(str(error["input"]), re.findall(r"'([^']*)'", choices) or re.split(r", | or ", choices))
     text = str(error.get("ctx", {}).get("error", error["msg"]))
     head, found, rest = text.partition("expected ")
     return found + rest if found else head[:1].lower() + head[1:]
@@ -149,6 +156,7 @@ def _cause(error: ErrorDetails) -> str:
 def placed(path: KeyPath, message: str) -> Fault:
     """Prefix a message with its path; one that begins with the key (``e_n = 2: ...``) has half of it."""
     key = str(path[-1])
+    message = message.removeprefix(f"{key}: ")
     if message.startswith(f"{key} = "):
         return path, f"{_shown(path)}{message[len(key) :]}"
     return path, f"{_shown(path)}: {message}"

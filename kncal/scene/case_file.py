@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -79,7 +79,11 @@ def parse_case(text: str, *, name: str, where: str = "case", tables: Mapping[str
     try:
         scene: Scene = _adapter().validate_python({**given, "name": name})
     except ValidationError as error:
-        raise refusal(where, text, faults + [fault(e, tables) for e in error.errors(include_url=False)]) from None
+        found = [fault(e, tables) for e in error.errors(include_url=False)]
+        # one of each key: of a choice of kinds, and of a vector, pydantic tells several
+        raise refusal(
+            where, text, faults + list({path: (path, told) for path, told in reversed(found)}.values())
+        ) from None
     if found := faults + [placed(path, message) for path, message in problems(scene)]:
         raise refusal(where, text, found)
     return scene
@@ -121,17 +125,26 @@ def _old(tables: Mapping[str, Any]) -> Iterator[str]:
         table = tables.get(kind)
         if isinstance(table, list):
             yield f"[{kind}.NAME] in place of [[{kind}]] with name"
-    if isinstance(particles := tables.get("particles"), Mapping) and "diameter" in particles:
+    if _is_number(_inside(tables, "particles", "diameter")):
         yield "[particles.beads] in place of [particles], with place in place of packing"
     if "column" in tables:
         yield (
             '[walls.column] with shape = "box", size = [width, depth, height] and material in place of [column], with '
             'gas.cells and gas.walls, and periodic = ["y"] or layer = "y" in place of front_back'
         )
-    if isinstance(run := tables.get("run"), Mapping) and "end_time" in run:
+    if _inside(tables, "run", "end_time") is not None:
         yield "run.until_time in place of run.end_time"
-    if isinstance(gravity := tables.get("gravity"), (int, float)) and gravity > 0.0 and gravity is not True:
+    gravity = tables.get("gravity")
+    if _is_number(gravity) and 0.0 < gravity <= 1e5:
         yield f"gravity = [0.0, 0.0, {-float(gravity)}] in place of {gravity}"
+
+
+def _inside(tables: Mapping[str, Any], table: str, key: str) -> Any:
+    return inside.get(key) if isinstance(inside := tables.get(table), Mapping) else None
+
+
+def _is_number(value: object) -> TypeGuard[float]:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
 def dump_case(scene: Scene) -> str:
@@ -143,6 +156,8 @@ def dump_case(scene: Scene) -> str:
         If the scene holds something that no case file may say.
     """
     text = dump(scene, skip={"name"})
+    if (size := len(text.encode())) > MOST_BYTES:
+        raise InputError(f"scene {scene.name!r}: {size} bytes as a case file: expected at most {MOST_BYTES}")
     try:
         back = parse_case(text, name=scene.name, where=f"scene {scene.name!r}")
     except CaseFileError as error:

@@ -23,6 +23,7 @@ MOST_BYTES = 256 * 1024
 DEEPEST = 16
 
 _KEY_PART = r"""(?:[A-Za-z0-9_-]++|"[^"\n]*+"|'[^'\n]*+')"""
+_STRING_OR_COMMENT = re.compile(r"""("(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')|#[^\n]*+""")
 _DEEP_KEY = re.compile(rf"(?<![A-Za-z0-9_.-]){_KEY_PART}(?:[ \t]*+\.[ \t]*+{_KEY_PART}){{{DEEPEST},}}")
 
 
@@ -114,8 +115,9 @@ def _no_case(where: str, text: str) -> CaseFileError | None:
 
 def parse_toml(text: str, where: str) -> dict[str, Any]:
     """Return the tables of a TOML text; `CaseFileError` with file and line where it is none."""
-    if deep := _DEEP_KEY.search(text):
-        line = text.count("\n", 0, deep.start()) + 1
+    bare = _STRING_OR_COMMENT.sub(lambda found: '"s"' if found[1] else "", text)
+    if deep := _DEEP_KEY.search(bare):
+        line = bare.count("\n", 0, deep.start()) + 1
         raise CaseFileError(f"{where}, line {line}: {short(deep[0])}: expected keys of at most {DEEPEST} parts")
     try:
         tables = tomllib.loads(text)

@@ -30,6 +30,7 @@ from kncal.scene.values import (
     Name,
     Number,
     Option,
+    Parcels,
     Position,
     Ramp,
     Restitution,
@@ -37,6 +38,7 @@ from kncal.scene.values import (
     Share,
     Speed,
     Spin,
+    Step,
     Stiffness,
     Text,
     Time,
@@ -139,7 +141,7 @@ class Gas:
     drag: Word = Field(
         default="ErgunWenYu", description="drag law: ErgunWenYu, PlessisMasliyah, or one that a package adds"
     )
-    parcels_per_particle: Literal[1, 8, 27] = Field(
+    parcels_per_particle: Parcels = Field(
         default=1, description="parcels that share a particle's volume, for cells near the particle's size: 1, 8 or 27"
     )
 
@@ -229,7 +231,7 @@ class RunControl:
     steps_per_contact: StepsPerContact = Field(
         default=50.0, description="steps per contact duration [-], the same meaning for every model"
     )
-    dt: Seconds | None = Field(default=None, description="time step of all models [s]; none: from steps_per_contact")
+    dt: Step | None = Field(default=None, description="time step of all models [s]; none: from steps_per_contact")
     record_every: Annotated[Whole, within(1, 1e6)] = Field(
         default=1, description="steps between recorded frames during a contact"
     )
@@ -279,7 +281,7 @@ class Scene:
         Raises
         ------
         InputError
-            If two different materials have one name.
+            If two bodies or two different materials have one name, or a material has the one of rigid walls.
         """
         spheres, planes = tuple(spheres), tuple(planes)
         found: dict[str, Material] = {}
@@ -287,6 +289,11 @@ class Scene:
         for material in (body.material for body in bodies):
             if material is not None and found.setdefault(material.name, material) != material:
                 raise InputError(f"two different materials are called {material.name!r}: expected a name for each")
+        if RIGID in found:
+            raise InputError(f"a material is called {RIGID!r}, the name for a rigid wall: expected another name")
+        names = [body.name for body in bodies]
+        if twins := {name for name in names if names.count(name) > 1}:
+            raise InputError(f"several bodies are called {sorted(twins)}: expected a name for each")
         return cls(
             materials={name: MaterialData(**{key: getattr(m, key) for key in RANGES}) for name, m in found.items()},
             particles={
@@ -328,6 +335,8 @@ class Scene:
 
     def material(self, name: str) -> Material | None:
         """Return a material with its checks; None for a rigid wall's."""
+        if name != RIGID and name not in self.materials:
+            raise InputError(f"{self.name}: no material {name!r}: expected one of {', '.join(self.materials)}, {RIGID}")
         return None if name == RIGID else self._materials[name]
 
     @cached_property
@@ -341,11 +350,13 @@ class Scene:
 
     def _of_group(self, name: str, group: Particles) -> tuple[Particle, ...]:
         centres = (AT_REST,) if self.coupled else group.centres
+        if (material := self.material(group.material)) is None:
+            raise InputError(f"{self.name}: particles.{name}.material = {RIGID!r}: expected a material")
         return tuple(
             Particle(
                 name=name if len(centres) == 1 else f"{name}.{i}",
                 group=name,
-                material=self._materials[group.material],
+                material=material,
                 radius=group.diameter / 2.0,
                 position=position,
                 velocity=group.velocity,

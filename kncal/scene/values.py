@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import re
 from functools import wraps
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar, cast, dataclass_transform
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, cast, dataclass_transform
 
 import numpy as np
-from pydantic import AfterValidator, ConfigDict, Field, Strict, ValidationError
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, Strict, ValidationError
 from pydantic.dataclasses import dataclass
 
 from kncal.core.checks import Range, positive, short
@@ -49,8 +49,8 @@ def _told(name: str, error: ErrorDetails) -> str:
     key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in error["loc"])
     given = "" if error["type"] in ("missing", "unexpected_keyword_argument") else f" = {short(error['input'])}"
     text = str(error.get("ctx", {}).get("error", error["msg"]))
-    _, word, expected = text.partition("expected ")
-    return f"{name}{key}{given}: {word}{expected or text}"
+    found = re.search(r"\bexpected .*", text, re.S)
+    return f"{name}{key}{given}: {found[0] if found else text}"
 
 
 def _name(text: str) -> str:
@@ -82,6 +82,12 @@ def above_zero(unit: str = "", hint: str = "", high: float = np.inf) -> AfterVal
     return AfterValidator(Range(0.0, high, unit, hint, low_open=True))
 
 
+def _integer(value: object) -> object:
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise ValueError("expected a whole number")
+    return value
+
+
 # Strict: text or a boolean is no number, and a number is no text.
 Number = Annotated[float, Strict()]
 Whole = Annotated[int, Strict()]
@@ -95,11 +101,15 @@ Friction = Annotated[Number, within(0.0, 10.0)]
 Speed = Annotated[Number, above_zero("m/s", high=1e4)]
 Stiffness = Annotated[Number, above_zero("N/m")]
 Seconds = Annotated[Number, above_zero("s")]
+#: A step may be no longer than anybody has time.
+Step = Annotated[Number, above_zero("s", high=1e3)]
 Time = Annotated[Number, within(0.0, 1e6, "s")]
 Length = Annotated[Number, within(2e-9, 1e3, "m", "1 mm is 1e-3")]
 Coordinate = Annotated[Number, within(-1e4, 1e4, "m", "1 mm is 1e-3")]
 Share = Annotated[Number, above_zero(high=1.0)]
 Tolerance = Annotated[Number, above_zero()]
+#: Parcels that may share a particle's volume.
+Parcels = Annotated[Literal[1, 8, 27], BeforeValidator(_integer)]
 GasSpeed = Annotated[Number, within(0.0, 1e3, "m/s")]
 #: From a gas at a thousandth of an atmosphere to mercury; from hydrogen, and a little below, to glycerine and pitch.
 GasDensity = Annotated[Number, within(1e-4, 2e4, "kg/m³", "air: 1.2")]

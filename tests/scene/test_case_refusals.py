@@ -156,7 +156,7 @@ def test_counts_that_are_none(bad: str) -> None:
         ("until_time = 1e-3", "", 35, "neither is given: expected exactly one of until_time"),
         ("until_time = 1e-3", "until_time = 1.0\nuntil_bounces = 2", 37, "both are given: expected exactly one"),
         ("until_time = 1e-3", "until_time = 1.0\nsteps_per_contact = 1", 37, "run.steps_per_contact = 1: expected"),
-        ("until_time = 1e-3", "until_time = 1.0\ndt = 0", 37, "run.dt = 0: expected a value in (0, inf) s"),
+        ("until_time = 1e-3", "until_time = 1.0\ndt = 0", 37, "run.dt = 0: expected a value in (0, 1000] s"),
         ("delta_max = 0.05", "delta_maks = 0.05", 39, "did you mean 'delta_max'?"),
         ("delta_max = 0.05", "delta_max = 0", 39, "tolerances.delta_max = 0: expected a value in (0, inf)"),
         ("t_c_2 = 0.1", "t_c_1 = 0.1", 40, "tolerances.t_c_1"),

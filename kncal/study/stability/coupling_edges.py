@@ -141,7 +141,7 @@ def bed_edges(
     small = reduced(scene)
     # all runs start from one packing, whatever changes
     positions = tuple(tuple(map(float, centre)) for centre in start_positions(small, tell=tell))
-    small = small.with_group(place="given", count=None, positions=positions)
+    small = small.with_group(place="given", count=None, settle_k_n=None, positions=positions)
     case = folder / small.name / CASE
     case.parent.mkdir(parents=True, exist_ok=True)
     write_text(case, dump_case(small))
