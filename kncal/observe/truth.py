@@ -102,16 +102,16 @@ def frames_at(model: Plan, motion: ExactMotion, t: Array) -> Trajectory:
 def predicted_errors(model: Plan, observations: Observations) -> dict[str, float]:
     """Return the relative discretisation error to expect of every metric that comes from contacts (worst phase).
 
-    A later contact starts with the error of the speed that the earlier ones left; its overlaps go with the speed
+    A later contact starts with the errors of the speeds that all earlier ones left; its overlaps go with the speed
     (Hertz: the 4/5 power, the duration the -1/5), heights with its square.
     """
     errors: dict[str, float] = {}
+    inherited = 0.0
     for k, event in enumerate(observations.contacts, start=1):
         contact = model.between(*event.pair)
         law = LAWS.find(contact.law)
         worst = predict_error(law.name, contact.e_n, contact.t_c / model.dt, contact.end).worst
         suffix = "" if k == 1 else f"_{k}"
-        inherited = (k - 1) * worst["e_n"]
         own = {
             "e_n": worst["e_n"],
             "t_c": worst["t_c"] + 0.2 * inherited,
@@ -121,4 +121,5 @@ def predicted_errors(model: Plan, observations: Observations) -> dict[str, float
             "rebound_height": 2.0 * (worst["e_n"] + inherited),
         }
         errors |= {name + suffix: value for name, value in own.items()}
+        inherited += worst["e_n"]
     return errors

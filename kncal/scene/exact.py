@@ -103,9 +103,9 @@ def solve(model: Plan, t_end: float) -> ExactSolution:
 
 
 def bounce_time(model: Plan, n: int) -> float:
-    """Return the time of the apex after the n-th contact of ``model`` [s].
+    """Return the time of the apex after the n-th contact of ``model`` [s], or half way to the next contact before it.
 
-    Without gravity, or if nothing moves up after that contact: its end plus half its duration.
+    Without gravity, or if nothing moves up after that contact: its end plus half its duration in place of the apex.
 
     Raises
     ------
@@ -131,4 +131,9 @@ def bounce_time(model: Plan, n: int) -> float:
     if g > 0.0:
         up = -np.asarray(model.scene.gravity) / g
         rise = max(float(motion.v[i] @ up) / g for i, name in enumerate(motion.names) if name in last.pair)
-    return last.t_start + last.t_c + (rise if rise > 0.0 else 0.5 * last.t_c)
+    end = last.t_start + last.t_c
+    apex = end + (rise if rise > 0.0 else 0.5 * last.t_c)
+    while motion.t < apex and not motion.open and motion.advance(apex):
+        pass
+    following = [event.t_start for event in motion.contacts(apex) if event.t_start > end]
+    return min(apex, 0.5 * (end + min(following, default=math.inf)))

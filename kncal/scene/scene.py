@@ -226,7 +226,8 @@ class RunControl:
     until_time: Seconds | None = Field(default=None, description="end time [s]")
     until_bounces: Annotated[Whole, within(1, 1000)] | None = Field(
         default=None,
-        description="number of contacts, after which the run ends at the apex (of the model that needs longer)",
+        description="number of contacts; the run ends at the apex after the last (of the model that needs longer), or "
+        "half way to a contact before it",
     )
     steps_per_contact: StepsPerContact = Field(
         default=50.0, description="steps per contact duration [-], the same meaning for every model"

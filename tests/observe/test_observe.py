@@ -15,6 +15,7 @@ from models import R, finer, head_on, mass, model, on_wall, with_bodies
 from kncal.core.errors import InputError
 from kncal.engines.builtin.integrator import integrate
 from kncal.observe.contacts import measure_contact, observe, overlaps
+from kncal.observe.truth import exact_trajectory, predicted_errors
 from kncal.record.frames import Trajectory
 from kncal.scene.exact import ExactSolution, gross_sliding, slip_end, solve
 from kncal.scene.model import Plan
@@ -230,3 +231,17 @@ def test_tables_and_series() -> None:
     assert empty.contacts == ()
     assert dict(empty.metrics) == {}
     assert list(empty.to_frame().columns) == list(frame.columns)
+
+
+def test_the_predicted_error_of_a_contact_has_those_of_all_earlier_ones() -> None:
+    """A lossless contact after a lossy one: its own error is small, that of the speed that it starts with is not."""
+    scene = on_wall(gap=1e-3)
+    lid = dataclasses.replace(scene.planes[0], name="lid", position=4.0 * R, material=None)
+    scene = with_bodies(scene, planes=(*scene.planes, lid))
+    e_n = {("bead", "floor"): 0.5, ("bead", "lid"): 1.0}
+    given_ = model(scene, "linear", t_end=0.01, e_n=e_n, steps_per_contact=20.0)
+    seen = observe(given_, exact_trajectory(given_, solve(given_, 0.01)))
+    assert [event.pair for event in seen.contacts[:2]] == [("bead", "floor"), ("bead", "lid")]
+    errors = predicted_errors(given_, seen)
+    assert errors["e_n_2"] < 0.1 * errors["e_n"]
+    assert errors["v_out_2"] >= errors["v_out"]

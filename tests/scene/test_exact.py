@@ -284,3 +284,17 @@ def test_closed_forms_refuse() -> None:
         slip_end(1.0, 0.0, 9.81)
     with pytest.raises(InputError, match="e_n"):
         gross_sliding(1.0, 1.0, friction=0.1, e_n=1.1, radius=R)
+
+
+def test_a_run_of_so_many_contacts_has_so_many() -> None:
+    """Two balls above each other bounce on the floor and on each other: the next contact comes before the apex."""
+    fall = dict(material=GLASS, radius=R, velocity=(0.0, 0.0, -1.0))
+    low = Particle(name="low", position=(0.0, 0.0, 1.02 * R), **fall)  # type: ignore[arg-type]
+    high = Particle(name="high", position=(0.0, 0.0, 3.2 * R), **fall)  # type: ignore[arg-type]
+    floor = Wall(name="floor", axis="z", position=0.0, material=GLASS)
+    scene = Scene.of((low, high), (floor,), name="pair", gravity=(0.0, 0.0, -9.81))
+    given_ = model(scene, "linear", t_end=1.0, e_n=0.9, k_n=1e5)
+    for n in (1, 2, 3):
+        contacts = solve(given_, bounce_time(given_, n)).contacts
+        assert len(contacts) == n
+        assert all(event.complete for event in contacts)
