@@ -18,7 +18,7 @@ from kncal.physics.contact_estimators import ContactMeasure, measure_contact
 from kncal.physics.material import sphere_mass
 from kncal.record.frames import Trajectory
 from kncal.scene.bodies import AXES, Body, Particle, Wall
-from kncal.scene.contact_event import ContactEvent, Names
+from kncal.scene.contact_event import ContactEvent, Names, only_binary
 from kncal.scene.model import Plan
 from kncal.scene.scene import Scene
 
@@ -143,6 +143,8 @@ def observe(model: Plan, trajectory: Trajectory) -> Observations:
     found = [(_event(r, *run), *run) for r in series.values() for run in _runs(r.delta)]
     # a stable sort keeps the order of the pairs for contacts that start together
     found.sort(key=lambda item: item[0].t_start)
+    events = only_binary([event for event, _, _ in found], trajectory.names)
+    found = [(event, start, out) for event, (_, start, out) in zip(events, found, strict=True)]
     bodies = {body.name: body for body in scene.bodies}
     metrics: dict[str, float] = {}
     for k, (event, _, out) in enumerate(found, start=1):
@@ -167,7 +169,7 @@ def observe(model: Plan, trajectory: Trajectory) -> Observations:
     for a, b in scene.body_pairs():
         if isinstance(b, Wall) and model.between(a.name, b.name).friction > 0.0 and "slip_end_time" not in metrics:
             metrics |= _slip_end(trajectory, a, series[a.name, b.name])
-    return Observations(contacts=tuple(event for event, _, _ in found), metrics=metrics, series=series)
+    return Observations(contacts=events, metrics=metrics, series=series)
 
 
 def _runs(delta: Array) -> list[tuple[int, int]]:

@@ -19,7 +19,7 @@ from kncal.core.checks import Array
 from kncal.core.errors import ValidityError
 from kncal.physics.material import sphere_mass
 from kncal.physics.normal_force import normal_force
-from kncal.scene.contact_event import ContactEvent
+from kncal.scene.contact_event import ContactEvent, only_binary
 from kncal.scene.exact_pairs import BodyPair, Segment, pairs_of
 from kncal.scene.flight import pair_touch_time, wall_touch_time
 from kncal.scene.model import Plan
@@ -272,7 +272,7 @@ class EventMotion:
             touch.area += (t_end - self.t) * self.delta[k]
         self.t = t_end
         events = [*self.ended, *(self._event(k, ended=False) for k in sorted(self.open))]
-        return tuple(sorted(events, key=lambda event: event.t_start))
+        return only_binary(sorted(events, key=lambda event: event.t_start), self.names)
 
     def _probe(self, k: int) -> _Probe:
         pair, delta_0, half = self.pairs[k], self.delta[k], self.x.size

@@ -298,3 +298,16 @@ def test_a_run_of_so_many_contacts_has_so_many() -> None:
         contacts = solve(given_, bounce_time(given_, n)).contacts
         assert len(contacts) == n
         assert all(event.complete for event in contacts)
+
+
+def test_a_contact_with_a_third_body_in_it_has_no_restitution() -> None:
+    """A ball falls on one that rests on the floor: what the floor gives back is not of the resting ball's approach."""
+    still = Particle(name="still", material=GLASS, radius=R, position=(0.0, 0.0, R))
+    hit = Particle(name="hit", material=GLASS, radius=R, position=(0.0, 0.0, 3.1 * R), velocity=(0.0, 0.0, -1.0))
+    floor = Wall(name="floor", axis="z", position=0.0, material=GLASS)
+    scene = Scene.of((still, hit), (floor,), name="hit", gravity=(0.0, 0.0, -9.81))
+    contacts = solve(model(scene, "linear", t_end=1.0, e_n=0.9), 1e-3).contacts
+    meanwhile = [c for c in contacts if c.pair == ("still", "floor") and c.v_in < 0.1]
+    assert meanwhile
+    assert all(c.e_n is None for c in meanwhile)
+    assert all(c.e_n is None or 0.0 < c.e_n <= 1.0 + 1e-9 for c in contacts)
