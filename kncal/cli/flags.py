@@ -267,6 +267,11 @@ class ContactFlags(Flags):
         )
 
     def _second(self, first: Material) -> Material:
+        if self.against == "rigid-wall":
+            for flag in ("young_2", "poisson_2", "density_2"):
+                if getattr(self, flag) is not None:
+                    name = f"--{flag.replace('_', '-')}"
+                    raise InputError(f"{name} has no meaning for a rigid wall: leave it out, or --against wall")
         changed = {"young": self.young_2, "poisson": self.poisson_2, "density": self.density_2}
         given: dict[str, Any] = {key: value for key, value in changed.items() if value is not None}
         return replace(first, **given)

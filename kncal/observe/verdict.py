@@ -311,7 +311,7 @@ def _differences(rows: Sequence[Row]) -> list[str]:
             f"Differences larger than their uncertainty: {', '.join(names)}."
             " Of twenty averages of equal runs one differs so by chance."
         ]
-    return ["No difference is larger than its uncertainty; a smaller one may still be there."] if known else []
+    return ["No difference is seen for sure; a smaller one may be there."] if known else []
 
 
 def _blurred(rows: Sequence[Row]) -> list[str]:

@@ -51,7 +51,7 @@ _ACCURACY = {
 _NEEDS = {"physics": ("physics", ""), "needed": ("used", ""), "why": ("why", ""), "decided_by": ("decided by", "")}
 _EXACT = {"ok": "yes", "outside": "no", "-": "–"}
 _DIFFERENCE = "Difference: linear minus Hertz, relative to Hertz unless the row says otherwise"
-_SEEN = "Difference seen: whether it is larger than its ±."
+_SEEN = "Difference seen: whether it is larger than its ± (three times that where the ± is not reliable)."
 
 
 def write_report(

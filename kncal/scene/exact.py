@@ -121,9 +121,10 @@ def bounce_time(model: Plan, n: int) -> float:
         idle = idle + 1 if (len(motion.ended), len(motion.open)) == before else 0
         if not moving or motion.rest_time is not None or idle > _PATIENCE:
             why = motion.statement() if motion.open else "nothing touches any more"
+            most = f"run.until_bounces of at most {len(motion.ended)}, or " if motion.ended else ""
             raise ValidityError(
                 f"{model.scene.name} ({model.kind}): only {len(motion.ended)} of the {bounces} contacts end ({why}): "
-                f"expected run.until_bounces of at most {len(motion.ended)}, or run.until_time"
+                f"expected {most}run.until_time"
             )
     last = motion.ended[bounces - 1]
     g = float(np.linalg.norm(model.scene.gravity))
