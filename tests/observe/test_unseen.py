@@ -13,6 +13,8 @@ from kncal.scene.contact_limits import FEWEST_FRAMES
 from kncal.scene.limits import check
 from kncal.scene.plan import plan
 
+pytestmark = pytest.mark.slow
+
 QUICK = ["--engine", "builtin", "--out"]
 
 

@@ -17,6 +17,8 @@ from kncal.core.units import plus_minus, quantity
 from kncal.observe.compare import Comparison, compare
 from kncal.report.comparison import write_report
 
+pytestmark = pytest.mark.slow
+
 HOSTILE = '<img src=x onerror="alert(1)"></script><script>alert(2)</script>'
 CASE = replace(SCENE, tolerances={"overlap_mean": 0.05, "z_mean": 0.001, "pressure_drop": 0.5})
 

@@ -16,6 +16,8 @@ from kncal.study.trim.report import write_trim
 from kncal.study.trim.run import TrimOptions, trim
 from kncal.study.trim.trim import Trim
 
+pytestmark = pytest.mark.slow
+
 E_N = 0.97
 #: Friction takes mu (1 + e_n) v_n of the tangential speed in gross sliding: of the order of what damping takes.
 MU = 0.01

@@ -31,6 +31,8 @@ from kncal.scene.case_text import find_case
 from kncal.scene.plan import plan
 from tests.promises.fuzz.conftest import fuzzed, in_time
 
+pytestmark = pytest.mark.slow
+
 NUMBERS = [
     b"0", b"-1", b"1e308", b"-1e308", b"1e999", b"5e-324", b"nan", b"inf", b"-inf", b"99999999999999999999",
     b"1" * 5000, b"0x1p3", b"1_0", b"1.", b".5", b"1,5", b"\xd9\xa3", b"4294967296", b"2147483648", b"-0.0", b"1e-308",
