@@ -201,7 +201,7 @@ class BedObservations:
             return found
         if self.window.doubt:
             found = replace(found, reliable=False, why="; ".join(filter(None, (self.window.doubt, found.why))))
-        return averaged(found, self.begin, float(self.series.t[-1]))
+        return replace(averaged(found, self.begin, float(self.series.t[-1])), started=not self.window.doubt)
 
 
 def observe_bed(series: BedSeries, discard: float | None = None, gas: Gas | None = None) -> BedObservations:

@@ -23,6 +23,7 @@ class Estimate:
     reliable : whether the width may be believed
     why : why there is no value, or why its width is not reliable; may be empty
     needed_end : end time of the run at which a difference would be decided [s]; None: it is, or no such time is known
+    started : whether the start-up was over when the average began; if not, it is of something else, however narrow
     chance : whether the width is that of chance, so that those of two runs add in squares
     average : the statistics that the value comes from; None of what no longer run would make more certain
     begin, end : the window of the average [s]
@@ -33,6 +34,7 @@ class Estimate:
     reliable: bool = True
     why: str = ""
     needed_end: float | None = None
+    started: bool = True
     chance: bool = False
     average: Average | None = None
     begin: float = 0.0
@@ -115,6 +117,7 @@ def apart(a: Estimate, b: Estimate, scale: float, names: tuple[str, str]) -> Est
         value=value / scale,
         width=None if width is None else width / scale,
         reliable=a.reliable and b.reliable,
+        started=a.started and b.started,
         why="; ".join(f"{name}: {side.why}" for name, side in zip(names, (a, b), strict=True) if side.why),
         chance=a.chance or b.chance,
     )

@@ -102,6 +102,7 @@ def judge(row: Row, tolerance: float | None) -> Row:
     """Give the verdict on a row whose difference is known, or known to be missing: the one judge of all kinds of runs.
 
     `kncal.observe.estimate.decide` decides with the width of the difference, three times that where it is not reliable.
+    Averages that began within the start-up are never "ok".
     An average says until when both runs must go on to be decided.
     """
     tolerance = None if tolerance is None else float(tolerance)
@@ -111,6 +112,8 @@ def judge(row: Row, tolerance: float | None) -> Row:
     if found.value is None:
         return replace(row, tolerance=tolerance, verdict="missing")
     verdict = decide(abs(found.value), found.deciding, tolerance)
+    if verdict == "ok" and not found.started:
+        verdict = "undecided"  # two start-ups that agree say nothing of what comes after
     if verdict == "undecided":
         found = replace(found, needed_end=_needed(row, tolerance))
     return replace(row, difference=found, tolerance=tolerance, verdict=verdict)

@@ -175,11 +175,11 @@ def spring(model: Plan) -> str:
 
 def not_judged(rows: Sequence[Row]) -> list[str]:
     """Return what a verdict says of the largest difference that nobody judged; none if nothing is judged, or it is
-    small, or no larger than its width."""
+    small, or no larger than the width that decides."""
     left = [
         row
         for row in rows
-        if row.tolerance is None and abs(row.difference.value or 0.0) > max(NOTABLE, row.difference.width or 0.0)
+        if row.tolerance is None and abs(row.difference.value or 0.0) > max(NOTABLE, row.difference.deciding)
     ]
     if not left or all(r.tolerance is None for r in rows):
         return []

@@ -247,6 +247,13 @@ def test_doubtful_averages_need_a_wide_margin():
     assert between(known(1.10, 0.01, False), known(1.0, 0.01), None).difference.significant is True
 
 
+def test_two_start_ups_that_agree_are_no_agreement():
+    a, b = known(1.00, 0.001), replace(known(1.0, 0.001), started=False)
+    assert between(a, b, 0.05).verdict == between(b, a, 0.05).verdict == "undecided"
+    assert between(a, b, 0.05).difference.needed_end is not None
+    assert between(replace(known(1.2, 0.001), started=False), b, 0.05).verdict == "outside"
+
+
 def test_fields_are_judged_less_the_noise_of_sampling():
     assert fields(0.02, 0.02, None).difference.significant is False
     assert fields(0.02, 0.02, 0.03).verdict == "ok"
