@@ -127,6 +127,8 @@ def _print(folder: Path, states: list[RunState]) -> None:
     place = {state: state.folder.absolute().parents[2] for state in states}
     sweeps = {folder for folder in set(place.values()) if command_of(folder)}
     listed = [state for state in states if state.status != "completed" or place[state] not in sweeps]
+    if hidden := len(states) - len(listed):
+        show.say(f"{hidden} of the completed runs belong to sweeps and are not listed")
     if not listed:
         return
     shown = sorted(listed, key=lambda state: order.get(state.status, 4))[:_ROWS]

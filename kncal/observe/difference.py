@@ -18,7 +18,7 @@ from kncal.observe.estimate import Estimate, apart, missing
 from kncal.observe.row import RMS, Row, judge, row_of
 from kncal.observe.run_data import RunData
 from kncal.record.frames import Trajectory
-from kncal.scene.metrics import METRICS, metric_order, metric_unit
+from kncal.scene.metrics import METRICS, metric_order, metric_unit, split_metric
 
 #: A reference below this share of its natural scale counts as zero: a relative difference would be noise.
 NEGLIGIBLE = 1e-12
@@ -61,6 +61,8 @@ def value_row(name: str, run: RunData, reference: RunData, names: tuple[str, str
     """Return the row of one metric of ``run`` and ``reference``, not judged; divided by `scale_of` the reference's."""
     a, b = run.estimate(name), reference.estimate(name)
     row = row_of(name, a, b, missing(""))
+    if bodies := " / ".join(dict.fromkeys(filter(None, (_bodies(name, side) for side in (run, reference))))):
+        row = replace(row, text=f"{row.text} ({bodies})")
     if a.value is None or b.value is None:
         said = [f"{who}: {side.why}" for who, side in zip(names, (a, b), strict=True) if side.value is None]
         return replace(row, reason=a.why if len(said) == 2 and a.why == b.why else "; ".join(said))
@@ -79,6 +81,15 @@ def value_row(name: str, run: RunData, reference: RunData, names: tuple[str, str
         exact_difference=None if exact_a is None or exact_b is None else (exact_a - exact_b) / scale,
         reason=found.why,
     )
+
+
+def _bodies(name: str, run: RunData) -> str:
+    """Return who met in the contact that a metric is of; "" where all contacts are of one pair, or it is of none."""
+    base, number = split_metric(name)
+    events = () if run.contacts is None else run.contacts.contacts
+    if base not in METRICS or not METRICS[base].each or number > len(events) or len({e.pair for e in events}) < 2:
+        return ""
+    return "–".join(events[number - 1].pair)
 
 
 def field_row(name: str, run: RunData, reference: RunData) -> Row:

@@ -75,7 +75,7 @@ def case_folder(
                 return
             attempt = set_aside(out)
             if tell:
-                tell(f"{out}: what an earlier run{'' if same else ' of another case'} left was moved to {attempt}")
+                tell(f"{out}: what an earlier run{'' if same else ' with other values'} left was moved to {attempt}")
         text = dump_case(scene).encode()
         digest = hashlib.sha256(text).hexdigest()
         # The manifest first: it says whose folder this is, should kncal be killed before the next line.

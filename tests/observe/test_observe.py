@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 import pytest
+from comparisons import run_data
 from hypothesis import given
 from hypothesis import strategies as st
 from models import R, finer, head_on, mass, model, on_wall, with_bodies
@@ -15,10 +16,13 @@ from models import R, finer, head_on, mass, model, on_wall, with_bodies
 from kncal.core.errors import InputError
 from kncal.engines.builtin.integrator import integrate
 from kncal.observe.contacts import measure_contact, observe, overlaps
+from kncal.observe.difference import rows_between
+from kncal.observe.run_data import RunData
 from kncal.observe.truth import exact_trajectory, predicted_errors
 from kncal.record.frames import Trajectory
 from kncal.scene.exact import ExactSolution, gross_sliding, slip_end, solve
 from kncal.scene.model import Plan
+from kncal.scene.scene import Scene
 
 KINDS = ("linear", "hertz")
 
@@ -245,3 +249,22 @@ def test_the_predicted_error_of_a_contact_has_those_of_all_earlier_ones() -> Non
     errors = predicted_errors(given_, seen)
     assert errors["e_n_2"] < 0.1 * errors["e_n"]
     assert errors["v_out_2"] >= errors["v_out"]
+
+
+def exact_run(scene: Scene) -> RunData:
+    given_ = model(scene, "linear", t_end=0.01, e_n=0.5)
+    frames = exact_trajectory(given_, solve(given_, 0.01))
+    return dataclasses.replace(
+        run_data("linear", {}, frames, scene=scene), model=given_, contacts=observe(given_, frames)
+    )
+
+
+def test_a_row_of_one_of_several_pairs_says_who_met() -> None:
+    scene = on_wall(gap=1e-3)
+    lid = dataclasses.replace(scene.planes[0], name="lid", position=4.0 * R)
+    both = exact_run(with_bodies(scene, planes=(*scene.planes, lid)))
+    texts = {row.metric: row.text for row in rows_between(both, both, {})}
+    assert texts["e_n"].endswith("(bead–floor)")
+    assert texts["e_n_2"].endswith("(bead–lid)")
+    alone = exact_run(scene)
+    assert "bead" not in "".join(row.text for row in rows_between(alone, alone, {}))

@@ -265,7 +265,7 @@ def _hooke_numbers(names: Names, c: PairContact, one: AtomType, other: AtomType,
     stiff = math.sqrt(c.R_eff) * c.E_eff
     k = 16.0 / 15.0 * stiff * (15.0 * c.m_eff * law.velocity**2 / (16.0 * stiff)) ** 0.2
     meaning = "stiffness that LIGGGHTS' hooke model finds by strain energy"
-    expect_same(names, "k", c.k, k, f"{meaning}: take contact.method = 'strain_energy', or the hooke/stiffness style")
+    expect_same(names, "k", c.k, k, f"{meaning}: take the method strain_energy, or the style hooke/stiffness")
     return {"coefficientRestitution": spring_restitution(c, names)}
 
 
