@@ -104,7 +104,7 @@ def one_run(
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) if keep is None else keep
         before, children = time.process_time(), children_cpu()
-        result = engine.run(model, folder / "run", x, progress=progress)
+        result = engine.run(model, folder / "run", start=x, progress=progress)
         mine, theirs = time.process_time() - before, children_cpu() - children
     if result.status != "completed":
         raise SystemExit(f"{model.scene.name}: {result.message}")
