@@ -116,7 +116,7 @@ def refuse_old(tables: Mapping[str, Any], where: str) -> None:
     if found:
         raise CaseFileError(
             f"{where}: a case file of kncal 0.1, which this version does not read: write {'; '.join(found)} "
-            "(docs/case-file.md tells all of it)"
+            "(the page on case files, docs/case-file.md, tells all of it)"
         )
 
 

@@ -353,10 +353,17 @@ def test_collide_and_laws_and_needs_and_cases(capsys, tmp_path):
     code, out, _ = kncal(capsys, "collide", *KN[1:], "--out", tmp_path / "one.svg", "--json")
     assert code == 0
     assert json.loads(out)["picture"].endswith("one.svg")
-    for command in (["laws"], ["cases"], ["needs", "oblique_impact"], ["doctor"]):
+    for command in (["laws"], ["cases"], ["needs", "oblique_impact"]):
         code, out, _ = kncal(capsys, *command, "--json")
         assert code == 0, command
         assert json.loads(out)
+
+
+@pytest.mark.solver
+def test_the_doctor_finds_every_program(capsys):
+    code, out, _ = kncal(capsys, "doctor", "--json")
+    assert code == 0
+    assert json.loads(out)
 
 
 @pytest.mark.parametrize(
