@@ -50,13 +50,13 @@ def stability(
     if json:
         show.as_json(found.to_dict() | {"report": str(page)})
         return
-    for title, table in (
-        ("Edges of stability", edge_table(found)),
-        ("Steps for a correct restitution", accuracy_table(found)),
-        ("Edges of the coupled algorithm", coupling_table(found)),
+    for title, table, fold in (
+        ("Edges of stability", edge_table(found), False),
+        ("Steps for a correct restitution", accuracy_table(found), False),
+        ("Edges of the coupled algorithm", coupling_table(found), True),  # its last column is a sentence
     ):
         if table.rows:
-            show.table(title, table.headings, table.rows, text=table.text)
+            show.table(title, table.headings, table.rows, text=table.text, fold=fold)
     for sentence in (*found.sentences(), *(f"Note: {note}" for note in found.given.notes)):
         show.say(sentence)
     show.say(f"report: {page}")

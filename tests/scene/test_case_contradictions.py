@@ -181,4 +181,4 @@ def test_a_scene_too_large_for_a_case_file_is_not_written() -> None:
     assert len(str(grid)) < MOST_BYTES
     digits = tuple((x + 1e-5 / 3.0, y + 1e-5 / 3.0, z + 1e-5 / 3.0) for x, y, z in grid)
     with pytest.raises(InputError, match="bytes"):
-        dump_case(large.with_group(positions=digits * 1))
+        dump_case(large.with_group(positions=digits))
