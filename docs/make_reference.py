@@ -108,8 +108,9 @@ def keys(schema: Any) -> str:
     """Return the table of the keys of one table of a case file."""
     rows = []
     for key, field in schema.__pydantic_fields__.items():
-        if key == "name":
-            continue  # of the folder
+        inherited = any(key in vars(base).get("__pydantic_fields__", {}) for base in schema.__mro__[1:])
+        if key == "name" or (inherited and key not in schema.__annotations__) or not field.description:
+            continue  # of the folder, in the table of what all kinds have, or in those of the kinds
         checks = field.metadata if schema is not MaterialData else [RANGES[key]]
         # What the meaning says already is not said again.
         meaning = field.description or ""

@@ -13,7 +13,7 @@ from kncal.core.errors import CaseFileError
 from kncal.physics.laws import LAWS
 from kncal.physics.timestep import USUAL_STEPS, instead_of_zero
 from kncal.scene.scene import Scene
-from kncal.scene.walls import WALLS
+from kncal.scene.walls import MOTIONS, WALLS
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
@@ -48,17 +48,21 @@ def _about_keys(error: ErrorDetails, path: KeyPath, known: Mapping[str, str]) ->
         inside = ", ".join(table_at((*error["loc"], "")))
         return path, f"{_shown(path)} = {short(error['input'])}: expected a table with {inside}"
     if kind == "union_tag_invalid":
-        return _no_such_shape(error, path)
+        return _no_such_kind(error, path)
     if last == "[key]":
         return path[:-1], f"{_shown(path[:-2])}: key {short(path[-2])}: {_cause(error)}"
     return None
 
 
-def _no_such_shape(error: ErrorDetails, path: KeyPath) -> Fault:
+def _no_such_kind(error: ErrorDetails, path: KeyPath) -> Fault:
+    kinds = MOTIONS if "motion" in path[2:] else WALLS
     if not isinstance(error["input"], Mapping):
-        return path, f"{_shown(path)} = {short(error['input'])}: expected a table with shape, {', '.join(WALLS)}"
-    path, tag = (*path, "shape"), str(error["ctx"]["tag"])
-    return path, f"{_shown(path)} = {short(tag)}: {_instead(tag, list(WALLS))}"
+        return path, f"{_shown(path)} = {short(error['input'])}: expected a table with {kinds.what}, {', '.join(kinds)}"
+    tag = str(error["ctx"]["tag"])
+    if not tag:
+        return path, f"{_shown(path)}.{kinds.what}: missing: expected one of {', '.join(kinds)}"
+    path = (*path, kinds.what)
+    return path, f"{_shown(path)} = {short(tag)}: {_instead(tag, list(kinds))}"
 
 
 def _about_value(error: ErrorDetails, path: KeyPath, known: Mapping[str, str], tables: Mapping[str, Any]) -> Fault:
@@ -85,18 +89,27 @@ def table_at(path: KeyPath) -> dict[str, str]:
     """
     while path and isinstance(path[-1], int):  # a number of a vector
         path = path[:-1]
+    tables, _ = _followed(path[:-1])
+    return {key: field.description or "" for t in tables for key, field in t.__pydantic_fields__.items()}
+
+
+def _followed(path: KeyPath) -> tuple[list[Any], KeyPath]:
+    """The classes that may stand at a path, and the path without what pydantic adds to it for the kinds of a union."""
     tables: list[Any] = [Scene]
     named = False  # whether the next part is a name that the user gave
-    for part in path[:-1]:
+    kept: KeyPath = ()
+    for part in path:
+        if not named and len(tables) > 1 and (kind := WALLS.get(str(part)) or MOTIONS.get(str(part))):
+            tables = [kind.table]
+            continue
+        kept = (*kept, part)
         if named or isinstance(part, int):
             named = False
-        elif part in WALLS and len(tables) > 1:
-            tables = [WALLS[part].table]
         else:
             annotations = [t.__pydantic_fields__[part].annotation for t in tables if part in t.__pydantic_fields__]
             named = any(get_origin(a) is dict for a in annotations)
             tables = [inner for a in annotations for inner in _tables(a)]
-    return {key: field.description or "" for t in tables for key, field in t.__pydantic_fields__.items()}
+    return tables, kept
 
 
 def _tables(annotation: Any) -> list[Any]:
@@ -108,8 +121,7 @@ def _tables(annotation: Any) -> list[Any]:
 
 def _without_marks(path: KeyPath) -> KeyPath:
     """A path without what pydantic adds to it for the kinds of a union."""
-    is_wall = path[:1] == ("walls",) and len(path) > 2 and path[2] in WALLS
-    path = (*path[:2], *path[3:]) if is_wall else path
+    _, path = _followed(path)
     return path[:3] if path[:2] == ("contact", "options") else path
 
 
