@@ -172,10 +172,50 @@ def classes(sizes: Sizes, path_of: Callable[[str], Path] = Path, e_n: float = US
         made, widest = _classes(density, knots, count, by_mass=sizes.by == "mass")
         if widest <= width:  # a class' diameter is not in its middle
             return made
-    raise InputError(
-        f"sizes: diameters from {knots[0]:g} to {knots[-1]:g} m take more than {MOST_CLASSES} classes for "
-        f"class_error = {sizes.class_error:g} at e_n = {e_n:g}: expected closer cut-offs, or class_error = "
-        f"{1.05 * sizes.class_error * widest / width:.2g}"
+    raise _too_many(knots, sizes.class_error, e_n, widest / width)
+
+
+def merged(diameters: Array, class_error: float, e_n: float = USUAL_E_N) -> tuple[Classes, NDArray[np.int64]]:
+    """Return classes of single particles' diameters (n,) [m], and the number of the class of each (n,).
+
+    Up to `MOST_CLASSES` different diameters stay as they are (equal to 1e-6); more become classes as those of a
+    distribution do.
+
+    Raises
+    ------
+    InputError
+        If the error asked for takes more than `MOST_CLASSES` classes.
+    """
+    order = np.argsort(diameters, kind="stable")
+    d = np.asarray(diameters)[order]
+    new = np.diff(np.log(d), prepend=-np.inf) > 1e-6
+    made = d[new]
+    if made.size > MOST_CLASSES:
+        new, made = _bins(d, class_error, e_n)
+    kind = np.empty(d.size, dtype=np.int64)
+    kind[order] = np.cumsum(new) - 1
+    return Classes(made, np.bincount(kind) / d.size), kind
+
+
+def _bins(d: Array, class_error: float, e_n: float) -> tuple[NDArray[np.bool_], Array]:
+    """Return which of rising diameters (n,) begin a class, and the diameter of each class (k,)."""
+    width, place = half_width(class_error, e_n), np.log(d / d[0])
+    for count in range(min(max(1, math.ceil(place[-1] / (2.0 * width) - 1e-9)), MOST_CLASSES), MOST_CLASSES + 1):
+        new = np.diff(np.minimum(np.floor(place * (count / place[-1])), count - 1), prepend=-1.0) > 0.0
+        starts = np.flatnonzero(new)
+        made = d[0] * np.cbrt(np.add.reduceat((d / d[0]) ** 3, starts) / np.diff(starts, append=d.size))
+        highest = d[np.append(starts[1:], d.size) - 1]
+        widest = float(np.max(np.log(np.maximum(highest / made, made / d[starts]))))
+        if widest <= width:
+            return new, made
+    raise _too_many(d, class_error, e_n, widest / width)
+
+
+def _too_many(diameters: Array, class_error: float, e_n: float, times: float) -> InputError:
+    return InputError(
+        f"sizes: diameters from {diameters[0]:g} to {diameters[-1]:g} m take more than {MOST_CLASSES} classes for "
+        f"class_error = {class_error:g} at e_n = {e_n:g}: expected closer limits, or class_error = "
+        f"{1.05 * class_error * times:.2g}"
     )
 
 

@@ -28,7 +28,9 @@ from kncal.record.series import read_series
 from kncal.runs.folder import read_manifest, read_result
 from kncal.scene.case_file import load_case, parse_case, shipped_cases
 from kncal.scene.case_text import find_case
+from kncal.scene.particle_files import read_particles
 from kncal.scene.plan import plan
+from kncal.scene.sizes import Sieve, Sizes, classes
 from tests.promises.fuzz.conftest import fuzzed, in_time
 
 pytestmark = pytest.mark.slow
@@ -149,6 +151,30 @@ DUMP = b"".join(
     + b"".join(b"%d 1 " % i + b" ".join(b"%.17g" % (0.1 * k * i + step) for k in range(12)) + b" \n" for i in (1, 2))
     for step in (0, 10, 20)
 )
+
+
+PARTICLES = {
+    "csv": b"x,y,z,diameter,vx,vy,vz,id\n" + b"".join(b"0.1,0.2,%d,2e-3,1,0,-1.5,%d\n" % (i, i) for i in range(4)),
+    "dump": DUMP,
+    "data": b"title\n\n2 atoms\n1 atom types\n0 1 xlo xhi\n0 1 ylo yhi\n0 1 zlo zhi\n\nAtoms\n\n1 1 2e-3 2500 0 0 0\n"
+    b"2 1 2e-3 2500 0 0 1\n\nVelocities\n\n1 0 0 1 0 0 0\n2 0 0 1 0 0 0\n",
+}
+
+
+@fuzzed(short=150)
+@given(
+    data=st.sampled_from(sorted(PARTICLES)).flatmap(lambda kind: damaged(PARTICLES[kind], b"Atoms\n", b"ITEM: ATOMS"))
+)
+def test_files_of_particles(folder: Path, data: bytes) -> None:
+    path = keep(folder / "fuzz.txt", data)
+    only_ours(lambda: read_particles(path).classes(0.02, 0.5))
+
+
+@fuzzed(short=100)
+@given(data=damaged(b"mesh,passing\n1,0\n1.5,50\n2,100\n", b"mesh", b"1e-9", b"100"))
+def test_sieve_curves(folder: Path, data: bytes) -> None:
+    path = keep(folder / "fuzz.csv", data)
+    only_ours(lambda: classes(Sizes(sieve=Sieve(file=str(path), scale=1e-3))))
 
 
 @fuzzed(short=250)
