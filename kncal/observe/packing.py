@@ -1,0 +1,191 @@
+"""How particles are packed: solids fraction, its profile, contacts of each particle, fabric, overlaps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kncal.core.checks import Array
+from kncal.core.errors import InputError
+from kncal.observe.coarse_graining import grid_for
+from kncal.observe.grains import Grains, Space
+from kncal.observe.surface import bulk_value
+
+#: What is nearer than this many widths of the kernel to a wall or a surface is not bulk.
+AWAY = 2.0
+#: Particles with fewer contacts carry nothing: D + 1 without friction, two with it.
+LEAST_CONTACTS = {"frictionless": 4, "frictional": 2}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bulk:
+    """What lies inside a packing, away from walls and surfaces, found from the solids fraction alone.
+
+    Attributes
+    ----------
+    fraction : solids fraction [-]
+    grains : (n,) which particles lie in it
+    volume : of the bulk [m³]
+    """
+
+    fraction: float
+    grains: NDArray[np.bool_]
+    volume: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contacts:
+    """The contacts between particles.
+
+    Attributes
+    ----------
+    pairs : (c, 2) rows of the two particles
+    normal : (c, 3) unit vectors from the first to the second
+    overlap : (c,) [m]; share : (c,) overlap over the smaller diameter [-]
+    """
+
+    pairs: NDArray[np.int64]
+    normal: Array
+    overlap: Array
+    share: Array
+
+
+def bulk(grains: Grains, space: Space, width: float) -> Bulk:
+    """Return the bulk of a packing and its solids fraction; ``width`` of the coarse-graining kernel [m].
+
+    Bulk are the cells that are farther than the kernel's reach and `AWAY` widths from where the fraction falls below
+    half of the bulk's own value. So the smoothed fraction there is of the packing alone, and its mean over the cells is
+    that of the packing but for the fluctuation in the layer of a kernel at the rim.
+
+    Raises
+    ------
+    InputError
+        If nothing is that far inside.
+    """
+    from scipy.ndimage import distance_transform_edt
+
+    grid = grid_for(*_room(space, width), space.periodic, width)
+    solids = grid.spread(space.wrapped(grains.x), grains.volume[:, None])[..., 0]
+    dense = solids >= 0.5 * bulk_value(solids)
+    around = [(n, n) if p else (1, 1) for n, p in zip(grid.cells, space.periodic, strict=True)]
+    padded = np.pad(dense, [(0, 0) if p else (1, 1) for p in space.periodic])
+    padded = np.pad(padded, [pad if p else (0, 0) for pad, p in zip(around, space.periodic, strict=True)], mode="wrap")
+    inside = slice_back(distance_transform_edt(padded, sampling=grid.step), around) > AWAY * width
+    inside |= np.full(grid.cells, bool(dense.all() and all(space.periodic)))
+    if not inside.any():
+        raise InputError(
+            f"nothing is farther than {AWAY * width:g} m from a wall or surface: expected a larger packing"
+        )
+    return Bulk(
+        fraction=float(solids[inside].mean()),
+        grains=inside.ravel()[grid.index(space.wrapped(grains.x))],
+        volume=float(inside.sum()) * grid.cell,
+    )
+
+
+def slice_back(field: Array, around: list[tuple[int, int]]) -> Array:
+    """Return a field (3 dimensions) without the cells that were put around it."""
+    return field[tuple(slice(low, n - high) for (low, high), n in zip(around, field.shape, strict=True))]
+
+
+def _room(space: Space, width: float) -> tuple[list[float], list[float]]:
+    """Return corners with room for the kernel at sides that are not periodic, so that nothing is reflected."""
+    room = np.where(space.periodic, 0.0, 4.0 * width)
+    return np.subtract(space.low, room).tolist(), np.add(space.high, room).tolist()
+
+
+def fraction_profile(grains: Grains, space: Space, axis: int, edges: Array) -> Array:
+    """Return the solids fraction (bins,) of the slabs between ``edges`` (bins + 1,) [m] along an axis (0, 1, 2).
+
+    Each sphere is shared among the slabs by its exact caps; the slabs have the cross-section of the box. The volume of
+    all slabs together is that of the spheres to rounding, if they lie between the edges (or the axis is periodic and
+    they cover it once).
+    """
+    area = float(np.prod(np.delete(space.size, axis)))
+    x = grains.x[:, axis]
+    shifts = (-space.size[axis], 0.0, space.size[axis]) if space.periodic[axis] else (0.0,)
+    total = np.zeros(len(edges) - 1)
+    for shift in shifts:
+        total += np.diff([_below(edge - x - shift, grains.radius).sum() for edge in edges])
+    return total / (np.diff(edges) * area)
+
+
+def _below(depth: Array, radius: Array) -> Array:
+    """Return the volumes of spheres below a plane at ``depth`` (n,) [m] above their centres: pi (R + z)²(2 R - z)/3."""
+    z = np.clip(depth, -radius, radius)
+    return np.pi / 3.0 * (radius + z) ** 2 * (2.0 * radius - z)
+
+
+def contacts(grains: Grains, space: Space, beyond: float = 0.0) -> Contacts:
+    """Return all contacts between particles: pairs nearer than the sum of their radii plus ``beyond`` [m]."""
+    from scipy.spatial import cKDTree
+
+    if not len(grains.x):
+        empty = np.zeros(0)
+        return Contacts(pairs=np.zeros((0, 2), np.int64), normal=np.zeros((0, 3)), overlap=empty, share=empty)
+    x = space.wrapped(grains.x)
+    inside = x - np.asarray(space.low)
+    inside[(inside >= space.size) & space.periodic] = 0.0  # by rounding
+    tree = cKDTree(inside, boxsize=np.where(space.periodic, space.size, 0.0))
+    reach = 2.0 * float(grains.radius.max()) + beyond
+    pairs: NDArray[np.int64] = tree.query_pairs(reach, output_type="ndarray").astype(np.int64)
+    delta = space.nearest(x[pairs[:, 1]] - x[pairs[:, 0]])
+    distance = np.linalg.norm(delta, axis=1)
+    radii = grains.radius[pairs]
+    overlap = radii.sum(axis=1) - distance
+    touch = (overlap > -beyond) & (distance > 0.0)
+    return Contacts(
+        pairs=pairs[touch],
+        normal=delta[touch] / distance[touch, None],
+        overlap=overlap[touch],
+        share=overlap[touch] / (2.0 * radii[touch].min(axis=1)),
+    )
+
+
+def coordination(
+    found: Contacts, among: NDArray[np.bool_], least: int, held: NDArray[np.bool_] | None = None
+) -> tuple[float, float]:
+    """Return the mean number of contacts of the particles of ``among`` (n,) without rattlers, and the share of those.
+
+    Rattlers have fewer than ``least`` contacts with particles that are none, found by leaving them out until no more
+    are. ``held`` (n,) particles are never rattlers: those at walls, whose other contacts are not known.
+
+    Raises
+    ------
+    InputError
+        If none of them carries anything.
+    """
+    backbone = np.ones(len(among), dtype=bool)
+    held = np.zeros(len(among), dtype=bool) if held is None else held
+    while True:
+        both = backbone[found.pairs].all(axis=1)
+        number = np.bincount(found.pairs[both].ravel(), minlength=len(among))
+        loose = backbone & ~held & (number < least)
+        if not loose.any():
+            break
+        backbone &= ~loose
+    carry = backbone & among
+    if not carry.any():
+        raise InputError("no particle of the bulk has enough contacts to carry anything")
+    return float(number[carry].mean()), 1.0 - float(carry.sum() / among.sum())
+
+
+def fabric(normal: Array) -> Array:
+    """Return the fabric tensor (3, 3) of contacts: the mean of n n, with the trace 1."""
+    if not len(normal):
+        raise InputError("no contact: expected some for a fabric tensor")
+    return normal.T @ normal / len(normal)
+
+
+def anisotropy(normal: Array) -> float:
+    """Return sqrt(3/2 a:a) with a = 15/2 (F - I/3) of the fabric tensor F, less what isotropic chance adds.
+
+    0 for an isotropic fabric in the mean; a is that of Bathurst & Rothenburg (Mech. Mater. 9 (1990) 65) for a
+    distribution of normals (1 + n a n)/4 pi.
+    """
+    tensor = fabric(normal)
+    square = float((tensor**2).sum())
+    excess = square - 1.0 / 3.0 - (1.0 - square) / max(len(normal) - 1, 1)
+    return float(7.5 * np.sqrt(1.5 * max(excess, 0.0)))

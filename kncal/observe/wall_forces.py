@@ -1,0 +1,64 @@
+"""What walls carry, by height: the law of Janssen fitted to the forces on walls and floor of a silo.
+
+A slice of a filling of weight w per height hands N + w dz - N/lambda dz down: N(z) is the force through the
+cross-section, and the walls take N/lambda per height. With the hydraulic diameter D = 4 A/P, lambda = D/(4 K mu); the
+stress far below the surface is w lambda/A. Source: Janssen, Z. Ver. Dtsch. Ing. 39 (1895) 1045.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kncal.core.checks import Array
+from kncal.core.errors import InputError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Silo:
+    """Vertical force in a filling, downwards, and the length of Janssen.
+
+    Attributes
+    ----------
+    edges : (bins + 1,) heights [m]
+    through : (bins + 1,) force through the cross-section at the edges, from the weight above less the walls' [N]
+    length : lambda [m], inf if the walls carry nothing; limit : force far below the surface w lambda [N]
+    fitted : (bins,) which bins were fitted
+    """
+
+    edges: Array
+    through: Array
+    length: float
+    limit: float
+    fitted: NDArray[np.bool_]
+
+
+def silo(edges: Array, weight: Array, carried: Array) -> Silo:
+    """Fit Janssen's length to what walls carry by height.
+
+    Parameters
+    ----------
+    edges : (bins + 1,) heights [m]
+    weight : (bins,) of the particles whose centres lie in each bin [N]
+    carried : (bins,) vertical force of the particles on the side walls there, positive downwards [N]
+
+    Raises
+    ------
+    InputError
+        If fewer than three full bins are there.
+
+    The length is the least-squares one of carried = N/lambda dz over bins that are full (at least half of the median
+    weight of those that hold any) and not cut by the surface.
+    """
+    above = np.concatenate([np.cumsum((weight - carried)[::-1])[::-1], [0.0]])
+    some = weight > 0.0
+    full = weight >= 0.5 * np.median(weight[some]) if some.any() else some
+    if full.sum() < 3:
+        raise InputError(f"{full.sum()} bins of height are full: expected at least 3 for Janssen's law")
+    middle = 0.5 * (above[:-1] + above[1:]) * np.diff(edges)
+    share = float((carried[full] * middle[full]).sum() / (middle[full] ** 2).sum())
+    length = 1.0 / share if share > 0.0 else float("inf")
+    per_height = float(weight[full].sum() / np.diff(edges)[full].sum())
+    return Silo(edges=edges, through=above, length=length, limit=per_height * length, fitted=full)
