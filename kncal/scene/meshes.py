@@ -7,15 +7,22 @@ from __future__ import annotations
 
 import sys
 import warnings
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, BinaryIO
 
+import numpy as np
+
+from kncal.core.checks import Array
 from kncal.core.child import ChildError, answer, ask
 from kncal.core.errors import ReadError
 from kncal.core.files import open_limited
 
 #: A larger mesh file is refused [bytes]; what a reader may take beyond what Python and VTK have taken already.
 MAX_BYTES, MEMORY, SECONDS = 1024**3, 4 * 1024**3, 60
+#: Triangles of one wall; LIGGGHTS reads them in seconds.
+MOST_TRIANGLES = 1_000_000
+_VTK_TRIANGLE = 5
 
 #: XML by their name; a file may also begin with so many blanks that its first bytes do not show it.
 _XML_SUFFIXES = (".vtp", ".vtu", ".vts", ".vtr", ".vti", ".xdmf", ".xmf", ".svg", ".xml")
@@ -48,6 +55,34 @@ def read_mesh(path: Path) -> Any:
     if not mesh.n_points:
         raise ReadError(f"{path}: holds no points; expected a mesh (is the file cut off?)")
     return mesh
+
+
+def triangles_of(path: Path) -> Array:
+    """Return the triangles of the surface of a mesh file, (n, 3, 3): the corners of each, in the file's unit.
+
+    Raises
+    ------
+    ReadError
+        As `read_mesh`; or if it has no triangle, more than `MOST_TRIANGLES`, or a coordinate that is not finite.
+    """
+    try:
+        at = path.stat()
+    except OSError as error:
+        raise ReadError(f"{path}: cannot be read ({error.strerror}); expected a mesh file") from error
+    return _triangles(path, at.st_size, at.st_mtime_ns)
+
+
+@lru_cache(maxsize=16)  # a scene asks often for its walls; size and time stand for the content
+def _triangles(path: Path, size: int, changed: int) -> Array:
+    mesh = read_mesh(path).cast_to_unstructured_grid().triangulate()
+    cells = mesh.cells_dict.get(_VTK_TRIANGLE, np.empty((0, 3), dtype=np.intp))
+    corners: Array = np.array(mesh.points, dtype=np.float64)[cells]
+    if not 0 < len(corners) <= MOST_TRIANGLES:
+        raise ReadError(f"{path}: {len(corners)} triangles: expected a surface of 1 to {MOST_TRIANGLES}")
+    if not np.isfinite(corners).all():
+        raise ReadError(f"{path}: holds a coordinate that is not finite: expected numbers")
+    corners.flags.writeable = False
+    return corners
 
 
 def _read(path: Path) -> Any:

@@ -83,7 +83,7 @@ class Rotation(AnyMotion):
     """``kind = "rotate"``: the wall turns about an axis."""
 
     kind: Literal["rotate"] = Field(description='"rotate"')
-    origin: Position = Field(default=ORIGIN, description="[x, y, z] of a point on the axis [m]")
+    origin: Position = Field(default=ORIGIN, description="[x, y, z] of a point on the axis when it starts [m]")
     axis: Direction = Field(description="[x, y, z] along the axis; the wall turns by the right-hand rule")
     period: Seconds = Field(description="time of one turn [s]")
 
@@ -112,7 +112,8 @@ class WallKeys:
     shape: str
     material: Name = Field(default=RIGID, description='the name of a material, or "rigid"')
     motion: Annotated[tuple[Motion, ...], Field(max_length=MOST_MOTIONS)] = Field(
-        default=(), description="[[walls.NAME.motion]], each a motion; the first carries the next ones along"
+        default=(),
+        description="[[walls.NAME.motion]], each a motion; translations first, and each carries the next axes along",
     )
     surface_velocity: Velocity = Field(
         default=ORIGIN, description="[x, y, z] of the surface of a wall that stays, as of a belt [m/s]"
@@ -275,8 +276,18 @@ def _any_problems(wall: WallKeys) -> Iterator[Problem]:
     for i, motion in enumerate(wall.motion):
         if motion.stop is not None and motion.stop <= motion.start:
             yield ("motion", i, "stop"), f"stop = {motion.stop:g} s: expected one after start = {motion.start:g} s"
+    turns = [(i, m.axis) for i, m in enumerate(wall.motion) if isinstance(m, Rotation)]
+    for i, axis in turns[1:]:
+        if not _parallel(axis, turns[0][1]):
+            yield ("motion", i, "axis"), f"axis = {list(axis)}: expected all rotations of a wall about parallel axes"
     if wall.motion and any(wall.surface_velocity):
         yield ("surface_velocity",), "given for a wall with a motion: expected one of the two"
+
+
+def _parallel(one: Vector, other: Vector) -> bool:
+    (a, b, c), (d, e, f) = one, other
+    area = math.hypot(b * f - c * e, c * d - a * f, a * e - b * d)
+    return area <= 1e-6 * math.hypot(*one) * math.hypot(*other)
 
 
 def _tube_problems(wall: CylinderWall | ConeWall) -> Iterator[Problem]:
@@ -290,9 +301,7 @@ def _tube_problems(wall: CylinderWall | ConeWall) -> Iterator[Problem]:
 
 def _plate_problems(wall: PlateWall) -> Iterator[Problem]:
     yield from _any_problems(wall)
-    (a, b, c), (d, e, f) = wall.edge_1, wall.edge_2
-    area = math.hypot(b * f - c * e, c * d - a * f, a * e - b * d)
-    if area <= 1e-6 * math.hypot(*wall.edge_1) * math.hypot(*wall.edge_2):
+    if _parallel(wall.edge_1, wall.edge_2):
         yield ("edge_2",), f"edge_2 = {list(wall.edge_2)} is along edge_1: expected an edge in another direction"
 
 
