@@ -75,9 +75,11 @@ class Observations:
     contacts : all contacts in the order of their start
     metrics : name -> value [SI]; what does not apply is not there. The k-th contact of ``contacts`` has the
         suffix ``_k`` (none for the first): e_n, t_c, delta_max, delta_mean, v_out, rebound_height (highest gap
-        over the wall after it). For the first contact, if it is oblique: tangential_restitution, spin_out
-        (about the axis of rolling forward, [rad/s]), rebound_angle (from the normal, [rad]). For a particle
-        that starts on a wall: slip_end_time, slip_end_speed.
+        over the wall after it). For the first contact, if its contact point slips: tangential_restitution (only if
+        the centre moves along the other body, too), spin_out (of the first body about the axis of rolling forward,
+        [rad/s]), slip_out (of the contact point, forward, [m/s]), rebound_angle (of the centre from the normal, [rad]);
+        forward is where the centre goes, or else the contact point. For a particle that starts on a wall:
+        slip_end_time, slip_end_speed.
     series : (name, name) -> OverlapSeries
     """
 
@@ -210,21 +212,31 @@ def _rebound_height(scene: Scene, wall: Wall, r: OverlapSeries, out: int, free: 
 
 
 def _oblique(r: OverlapSeries, trajectory: Trajectory, event: ContactEvent, start: int, out: int) -> dict[str, float]:
-    before = r.velocity[start] + r.delta_dot[start] * r.normal[start]
+    before, slip = _along(r, trajectory, start)
+    noise = _OBLIQUE * float(np.linalg.norm(r.velocity[start]))
     slide = float(np.linalg.norm(before))
-    if slide <= _OBLIQUE * float(np.linalg.norm(r.velocity[start])) or event.v_out is None:
+    forward = before if slide > noise else slip
+    if (size := float(np.linalg.norm(forward))) <= noise or event.v_out is None:
         return {}
-    forward = before / slide
     # in a pair the tangent plane turns with the bodies
-    ahead = forward - (forward @ r.normal[out]) * r.normal[out]
+    ahead = forward / size - (forward @ r.normal[out]) / size * r.normal[out]
     ahead /= np.linalg.norm(ahead)
     after = float(r.velocity[out] @ ahead)
     spin = trajectory.spin[out, trajectory.names.index(event.pair[0])]
-    return {
-        "tangential_restitution": after / slide,
+    values = {
         "spin_out": float(spin @ np.cross(r.normal[out], ahead)),
+        "slip_out": float(_along(r, trajectory, out)[1] @ ahead),
         "rebound_angle": float(np.arctan2(after, event.v_out)),
     }
+    return values | ({"tangential_restitution": after / slide} if slide > noise else {})
+
+
+def _along(r: OverlapSeries, trajectory: Trajectory, frame: int) -> tuple[Array, Array]:
+    """Velocities in the tangent plane: of the first centre, and of its contact point, relative to the second body."""
+    spheres = [trajectory.names.index(name) for name in r.pair if name in trajectory.names]
+    turn = trajectory.radius[spheres] @ trajectory.spin[frame, spheres]
+    centre = r.velocity[frame] + r.delta_dot[frame] * r.normal[frame]
+    return centre, centre - np.cross(turn, r.normal[frame])
 
 
 def _slip_end(trajectory: Trajectory, a: Particle, r: OverlapSeries) -> dict[str, float]:

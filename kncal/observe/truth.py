@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -16,17 +17,27 @@ from kncal.physics.timestep import predict_error
 from kncal.record.frames import Trajectory
 from kncal.scene.ballistics import first_touch
 from kncal.scene.bodies import AXES
-from kncal.scene.exact import ExactSolution, solve
+from kncal.scene.exact import ExactSolution, SlipError, solve
 from kncal.scene.model import Plan
 
 #: Frames per contact and between contacts at which an exact motion is observed; the Hermite estimators are of
 #: fourth order, so that this many leave a relative error of about 1e-10.
 _FRAMES = 400
+#: Share of the slip that may go sideways for a motion in one plane.
+_STRAIGHT = 1e-12
 
 
 def exact_motion(model: Plan) -> ExactSolution | None:
-    """Return the exact motion of ``model``; None where friction acts, for which there is no exact motion here."""
-    return None if model.needs.uses("tangential") else solve(model, model.t_end)
+    """Return the exact motion of ``model``; None where friction acts, for which there is no exact motion here.
+
+    With friction only one pair of bodies is asked whether it slips at all.
+    """
+    if model.needs.uses("tangential") and len(model.scene.body_pairs()) != 1:
+        return None
+    try:
+        return solve(model, model.t_end)
+    except SlipError:
+        return None
 
 
 def exact_metrics(model: Plan, motion: ExactSolution | None) -> dict[str, float] | None:
@@ -51,24 +62,30 @@ def _friction_metrics(model: Plan, normal: Mapping[str, float]) -> dict[str, flo
     (contact,) = model.contacts.values()
     (particle,), (wall,) = model.scene.spheres, model.scene.planes
     axis = AXES.index(wall.axis)
-    v_t = float(np.linalg.norm(np.delete(particle.velocity, axis)))
-    if any(particle.spin) or v_t == 0.0:
+    n = np.eye(3)[axis] * (1.0 if particle.position[axis] > wall.position else -1.0)
+    along = np.asarray(particle.velocity) * (1.0 - np.abs(n))
+    slip = along - particle.radius * np.cross(particle.spin, n)
+    v_t = float(np.linalg.norm(along))
+    forward = along if v_t > 0.0 else slip
+    forward = forward / np.linalg.norm(forward) if forward.any() else forward
+    speed = float(slip @ forward)
+    if speed <= 0.0 or np.linalg.norm(slip - speed * forward) > _STRAIGHT * speed:
         return {}
     touch = first_touch(model.scene, particle, wall)
     if touch is None:
+        if any(particle.spin):
+            return {}
         end = slip_end(v_t, contact.friction, abs(model.scene.gravity[axis]))
         return {"slip_end_time": end.time, "slip_end_speed": end.speed}
     attracts = contact.end == "overlap" and contact.c > 0.0
-    e_n, v_n = normal.get("e_n"), touch[1]
-    if e_n is None or attracts or v_t < 3.5 * contact.friction * (1.0 + e_n) * v_n:
+    e_n, v_n = min(normal.get("e_n", math.nan), 1.0), touch[1]  # an elastic one may be 1 and a rounding more
+    if math.isnan(e_n) or attracts or speed < 3.5 * contact.friction * (1.0 + e_n) * v_n:
         return {}
-    slid = gross_sliding(v_n, v_t, friction=contact.friction, e_n=e_n, radius=particle.radius)
-    return {
-        "tangential_restitution": slid.tangential_restitution,
-        "spin_out": slid.spin,
-        "rebound_angle": slid.rebound_angle,
-        "v_out": slid.v_n,
-    }
+    spin = (v_t - speed) / particle.radius
+    slid = gross_sliding(v_n, v_t, friction=contact.friction, e_n=e_n, radius=particle.radius, spin=spin)
+    values = {"spin_out": slid.spin, "slip_out": slid.slip, "rebound_angle": slid.rebound_angle, "v_out": slid.v_n}
+    turned = slid.tangential_restitution
+    return values if turned is None else {**values, "tangential_restitution": turned}
 
 
 def exact_trajectory(model: Plan, motion: ExactSolution) -> Trajectory:
@@ -93,7 +110,7 @@ def frames_at(model: Plan, motion: ExactMotion, t: Array) -> Trajectory:
         t=t,
         x=x,
         v=v,
-        spin=np.zeros_like(x),
+        spin=np.broadcast_to([p.spin for p in model.scene.spheres], x.shape),
         force=np.broadcast_to(weight, x.shape),
         radius=np.array([p.radius for p in model.scene.spheres]),
     )

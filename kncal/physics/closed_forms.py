@@ -42,49 +42,60 @@ def slip_end(u_0: float, friction: float, g: float) -> SlipEnd:
 
 @dataclass(frozen=True, kw_only=True)
 class GrossSliding:
-    """After an oblique impact that slides throughout: velocities [m/s], ``spin`` [rad/s], angle from the normal."""
+    """After an oblique impact that slides throughout, everything forward: velocities [m/s] of the centre, ``spin``
+    [rad/s] about the axis of rolling forward, ``slip`` of the contact point [m/s], angle of the centre from the normal.
+
+    ``tangential_restitution``: None if the centre does not move along the wall before.
+    """
 
     v_n: float
     v_t: float
     spin: float
-    tangential_restitution: float
+    slip: float
+    tangential_restitution: float | None
     rebound_angle: float
 
 
-def gross_sliding(v_n: float, v_t: float, *, friction: float, e_n: float, radius: float) -> GrossSliding:
+def gross_sliding(
+    v_n: float, v_t: float, *, friction: float, e_n: float, radius: float, spin: float = 0.0
+) -> GrossSliding:
     """Return the motion of a solid sphere after an oblique impact on a wall that slides to its end.
 
-    The tangential impulse is mu times the normal one, m (1 + e_n) v_n: tangential restitution 1 - mu (1 + e_n) v_n/v_t
-    and spin (5/2) mu (1 + e_n) v_n/R (rigid-body impulses; Foerster et al., Phys. Fluids 6 (1994) 1108). The force
-    must not pull, or |F| would rub the other way: exact for an undamped contact or one without attraction.
+    The tangential impulse is mu times the normal one, m (1 + e_n) v_n: it takes mu (1 + e_n) v_n from the speed of the
+    centre, adds (5/2) mu (1 + e_n) v_n/R to the spin, and so takes (7/2) mu (1 + e_n) v_n from the slip (rigid-body
+    impulses; Foerster et al., Phys. Fluids 6 (1994) 1108). The force must not pull, or |F| would rub the other way:
+    exact for an undamped contact or one without attraction.
 
     Parameters
     ----------
-    v_n, v_t : normal and tangential speed before the impact [m/s]; no spin
+    v_n, v_t : normal and tangential speed before the impact [m/s]
     friction, e_n : Coulomb coefficient and normal restitution [-]
     radius : [m]
+    spin : before the impact, about the axis of rolling forward [rad/s]; negative: backspin
 
     Raises
     ------
     InputError
         If an argument is out of range.
     ValidityError
-        If v_t/v_n < (7/2) mu (1 + e_n): the contact would stick before its end.
+        If the slip v_t - R spin is below (7/2) mu (1 + e_n) v_n: the contact would stick before its end.
     """
-    normal, tangential = float(positive("v_n", v_n, unit="m/s")), float(positive("v_t", v_t, unit="m/s"))
+    normal, tangential = float(positive("v_n", v_n, unit="m/s")), float(in_range("v_t", v_t, 0.0, math.inf, unit="m/s"))
     mu, r = float(in_range("friction", friction, 0.0, 1e3)), float(positive("radius", radius, unit="m"))
     e = float(in_range("e_n", e_n, 0.0, 1.0, low_open=True))
+    before = tangential - r * float(in_range("spin", spin, -math.inf, math.inf, unit="rad/s"))
     lost = mu * (1.0 + e) * normal
-    if tangential < 3.5 * lost:
+    if before < 3.5 * lost:
         raise ValidityError(
-            f"v_t/v_n = {tangential / normal:.4g}: expected at least 7/2 mu (1 + e_n) = {3.5 * lost / normal:.4g} for "
+            f"slip/v_n = {before / normal:.4g}: expected at least 7/2 mu (1 + e_n) = {3.5 * lost / normal:.4g} for "
             "sliding to the end; below it the tangential spring decides, integrate the model instead"
         )
     return GrossSliding(
         v_n=e * normal,
         v_t=tangential - lost,
-        spin=2.5 * lost / r,
-        tangential_restitution=1.0 - lost / tangential,
+        spin=spin + 2.5 * lost / r,
+        slip=before - 3.5 * lost,
+        tangential_restitution=1.0 - lost / tangential if tangential else None,
         rebound_angle=math.atan2(tangential - lost, e * normal),
     )
 

@@ -16,7 +16,7 @@ from kncal.core.checks import Array, in_range
 from kncal.core.errors import ValidityError
 from kncal.physics.closed_forms import DampedBounce, GrossSliding, SlipEnd, damped_bounce, gross_sliding, slip_end
 from kncal.scene.contact_event import ContactEvent
-from kncal.scene.exact_motion import EventMotion
+from kncal.scene.exact_motion import EventMotion, SlipError
 from kncal.scene.exact_pairs import Segment
 from kncal.scene.model import Plan
 
@@ -25,6 +25,7 @@ __all__ = [
     "ExactSolution",
     "GrossSliding",
     "SlipEnd",
+    "SlipError",
     "bounce_time",
     "damped_bounce",
     "gross_sliding",

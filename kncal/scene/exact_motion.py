@@ -38,6 +38,10 @@ _NORMAL = 1e-12
 _Probe = Callable[[list[float]], tuple[float, float, tuple[float, float, float]]]
 
 
+class SlipError(ValidityError):
+    """A contact slips with friction: there is no exact motion here."""
+
+
 @dataclass
 class _Open:
     """A contact that has started."""
@@ -134,7 +138,7 @@ class EventMotion:
         turn = sum(self.radius[m] * np.cross(self.spin[m], n) for m in others)
         slip = w - (w @ n) * n - turn
         if pair.contact.friction > 0.0 and np.linalg.norm(slip) > _NORMAL * np.linalg.norm(w):
-            raise ValidityError(
+            raise SlipError(
                 f"{self.model.scene.name}: {pair.names[0]}–{pair.names[1]} touch at t = {self.t:.6g} s with a "
                 f"tangential velocity and friction {pair.contact.friction:g}: expected a normal impact or no "
                 "friction for an exact solution; integrate the model instead"

@@ -90,6 +90,7 @@ METRICS: Registry[Metric] = Registry(
     Metric("slip_end_speed", "m/s", "speed at which slip ends", _CONTACT),
     Metric("tangential_restitution", "–", "tangential restitution", _CONTACT),
     Metric("spin_out", "rad/s", "spin after the contact", _CONTACT),
+    Metric("slip_out", "m/s", "speed of the contact point along the other body after the contact", _CONTACT),
     Metric("rebound_angle", "rad", "rebound angle", _CONTACT),
     Metric("trajectory", "–", "largest distance of the two paths / extent of the motion", _CONTACT, "path"),
     Metric("trajectory_rms", "–", "rms distance of the two paths / extent of the motion", _CONTACT, "path"),

@@ -18,7 +18,7 @@ from kncal.engines.builtin.integrator import integrate
 from kncal.observe.contacts import measure_contact, observe, overlaps
 from kncal.observe.difference import rows_between
 from kncal.observe.run_data import RunData
-from kncal.observe.truth import exact_trajectory, predicted_errors
+from kncal.observe.truth import exact_metrics, exact_motion, exact_trajectory, predicted_errors
 from kncal.record.frames import Trajectory
 from kncal.scene.exact import ExactSolution, gross_sliding, slip_end, solve
 from kncal.scene.model import Plan
@@ -203,6 +203,25 @@ def test_oblique_metrics_of_gross_sliding(kind: str) -> None:
     lever = 1.0 - 0.5 * seen.contacts[0].delta_max / R
     assert closed.spin * lever * 0.99 < seen.metrics["spin_out"] < closed.spin
     assert seen.metrics["v_out"] == pytest.approx(1.0, rel=1e-4)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_ball_that_only_spins_leaves_sideways(kind: str) -> None:
+    # the contact point goes with 2 m/s along (3, 4); forward is there, and the centre goes back
+    spin = np.array([0.8, -0.6, 0.0]) * 2.0 / R
+    scene = on_wall(velocity=(0.0, 0.0, -1.0), spin=tuple(spin))
+    given_ = finer(model(scene, kind, t_end=6e-4, friction=0.05), 10)
+    seen = observe(given_, integrate(given_))
+    closed = gross_sliding(1.0, 0.0, friction=0.05, e_n=1.0, radius=R, spin=-2.0 / R)
+    assert "tangential_restitution" not in seen.metrics
+    assert seen.metrics["rebound_angle"] == pytest.approx(closed.rebound_angle, rel=5e-3)
+    # the friction takes 5/2 mu (1 + e) v_n from the rim, less what the lever is shorter by, up to delta/2
+    missing = 0.25 * 0.5 * seen.contacts[0].delta_max / R
+    assert closed.slip < seen.metrics["slip_out"] < closed.slip + missing
+    assert closed.spin - missing / R < seen.metrics["spin_out"] < closed.spin
+    exact = exact_metrics(given_, exact_motion(given_))
+    assert exact is not None
+    assert exact["slip_out"] == pytest.approx(closed.slip, rel=1e-6)
 
 
 def test_contact_that_never_ends() -> None:

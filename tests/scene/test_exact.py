@@ -271,8 +271,20 @@ def test_gross_sliding_keeps_the_angular_momentum(v: float, e: float, mu: float,
     assert after.v_t - R * after.spin >= -1e-9 * v_t
     assert after.tangential_restitution == pytest.approx(after.v_t / v_t)
     assert math.tan(after.rebound_angle) == pytest.approx(after.v_t / after.v_n)
-    with pytest.raises(ValidityError, match="v_t/v_n"):
+    with pytest.raises(ValidityError, match="slip/v_n"):
         gross_sliding(v, 0.99 * least, friction=mu, e_n=e, radius=R)
+
+
+@given(v=st.floats(0.1, 10.0), e=st.floats(0.05, 1.0), v_t=st.floats(0.0, 5.0), backspin=st.floats(0.0, 1e4))
+def test_gross_sliding_of_a_spinning_ball_is_that_of_its_slip(v: float, e: float, v_t: float, backspin: float) -> None:
+    slip = v_t + R * backspin
+    mu = slip / (7.0 * (1.0 + e) * v)  # half of what would stop the slip
+    after = gross_sliding(v, v_t, friction=mu, e_n=e, radius=R, spin=-backspin)
+    assert after.slip == pytest.approx(after.v_t - R * after.spin)
+    assert after.slip == pytest.approx(0.5 * slip)
+    # about the contact point
+    assert after.v_t + 0.4 * R * after.spin == pytest.approx(v_t - 0.4 * R * backspin, abs=1e-9 * (1.0 + slip))
+    assert (after.tangential_restitution is None) == (v_t == 0.0)
 
 
 def test_closed_forms_refuse() -> None:

@@ -12,6 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kncal.core.errors import InputError
+from kncal.core.shipped import folder
+from kncal.scene.case_file import load_case
 from kncal.study.points import combine, grid_axis, parse_range, read_points, sample, split_values
 
 
@@ -144,3 +146,14 @@ def test_a_logarithm_needs_positive_numbers() -> None:
 def test_sample_sizes_and_seeds_have_limits(number: int, seed: int) -> None:
     with pytest.raises(InputError, match="expected"):
         sample([parse_range("a=0:1")], number, seed)
+
+
+@pytest.mark.parametrize(
+    "path", sorted(folder("cases").glob("*/*.csv")), ids=lambda path: f"{path.parent.name}-{path.stem}"
+)
+def test_shipped_points_are_scenes(path: Path) -> None:
+    points = read_points(path)
+    assert points
+    for point in points:
+        scene = load_case(path.parent.name, overrides=[str(change) for change in point])
+        assert scene.body_pairs()
