@@ -11,9 +11,11 @@ from kncal.core.checks import Array
 from kncal.physics.impact import dimensionless_impact
 from kncal.physics.material import Material, pair, wall_pair
 from kncal.physics.timestep import contact_time
+from kncal.scene.groups import Particles
 from kncal.scene.model import PairContact, Plan
 from kncal.scene.needs import decide
-from kncal.scene.scene import ContactChoice, MaterialData, Particles, RunControl, Scene
+from kncal.scene.run_control import RunControl
+from kncal.scene.scene import ContactChoice, MaterialData, Scene
 from kncal.scene.walls import BoxWall
 
 D, G = 1.2e-3, 9.81
@@ -85,14 +87,14 @@ def model(bed: Scene, kind: str = "linear", *, k_n: float = 100.0, dt: float = 1
 
 def mass(bed: Scene) -> float:
     """Mass of one particle [kg]."""
-    return bed.density * math.pi / 6.0 * bed.group.diameter**3
+    return bed.density * math.pi / 6.0 * bed.diameter**3
 
 
 def weight(bed: Scene) -> float:
     """Weight of the bed [N]."""
-    return bed.group.number * mass(bed) * bed.g
+    return bed.number * mass(bed) * bed.g
 
 
 def still(bed: Scene) -> Array:
     """No force on any particle."""
-    return np.zeros((bed.group.number, 3))
+    return np.zeros((bed.number, 3))

@@ -16,6 +16,7 @@ from kncal.cli.flags import Flags, Json, ModelChoice, RanksFlags, Timeout, Worke
 from kncal.core.errors import InputError
 
 if TYPE_CHECKING:
+    from kncal.scene.case_text import CaseText
     from kncal.scene.finding import Finding
     from kncal.study import Executor, Sweep, SweepProgress, SweepResult
     from kncal.study.points import Point
@@ -266,7 +267,7 @@ def sweep_table(folder: Path, *, parquet: Parquet = False, json: Json = False) -
 
 
 def _export(
-    made: Sweep, text: str, folder: Path, file: Path, options: SlurmOptions, workers: int | None, json: bool
+    made: Sweep, text: CaseText, folder: Path, file: Path, options: SlurmOptions, workers: int | None, json: bool
 ) -> int:
     """Write the job-array script of the runs that are left."""
     from kncal.study.slurm_script import array_script, write_script

@@ -20,8 +20,9 @@ from kncal.record.frames import Trajectory
 from kncal.record.liggghts_dump import read_trajectory
 from kncal.record.outcome import RunResult
 from kncal.record.steps import DemStep, GasFields, GasStep
+from kncal.scene.gas import Jet
 from kncal.scene.model import Plan
-from kncal.scene.scene import Depth, Jet, Scene
+from kncal.scene.scene import Depth, Scene
 from kncal.scene.values import (
     Cells,
     GasDensity,

@@ -94,7 +94,7 @@ def check_bed_ranks(scene: Scene, ranks: int) -> None:
 
 
 def _moves(scene: Scene) -> bool:
-    return scene.group.number > 0 and not scene.group.frozen
+    return scene.number > 0 and not scene.frozen
 
 
 class Still:
@@ -260,7 +260,7 @@ class Coupled(Engine):
         if setup is None:
             return None
         if self._library is not None:
-            return LiveGas(setup, folder / GAS, self._library, plan.scene.group.number, pass_fds=pass_fds)
+            return LiveGas(setup, folder / GAS, self._library, plan.scene.number, pass_fds=pass_fds)
         return RestartGas(setup, folder / GAS, ranks=self.ranks, oversubscribe=self.oversubscribe, pass_fds=pass_fds)
 
 
@@ -273,7 +273,7 @@ def _particles(
 ) -> ParticleSolver:
     """Start the particles at ``start``, or at the ``state`` after coupling ``first``."""
     if not _moves(plan.scene):
-        return Still(start, plan.scene.group.diameter)
+        return Still(start, plan.scene.diameter)
     at = None if state is None else state / PARTICLES
     particles = LiggghtsDem(plan, folder / PARTICLES, None if at else start, restart=at, pass_fds=pass_fds)
     if at is not None and particles.step != first * plan.steps_per_coupling:

@@ -134,9 +134,8 @@ class _GasSide:
 
     def __init__(self, plan: Plan, gas: GasSolver) -> None:
         self._plan, self._gas = plan, gas
-        group = plan.scene.group
-        self._diameter = np.full(group.number, group.diameter)
-        self._density = np.full(group.number, plan.scene.density)
+        self._diameter = np.full(plan.scene.number, plan.scene.diameter)
+        self._density = np.full(plan.scene.number, plan.scene.density)
         mass = self._density * np.pi / 6.0 * self._diameter**3
         self._weight = float(mass.sum()) * plan.scene.g
 

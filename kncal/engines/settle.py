@@ -51,10 +51,10 @@ def start_positions(scene: Scene, *, tell: Tell | None = None, progress: Progres
 
     ``tell``, ``progress``: see `packing`.
     """
-    if scene.group.number == 0:
+    if scene.number == 0:
         return np.zeros((0, 3))
     log = logging.getLogger("kncal")
-    log.info("packing %d particles", scene.group.number)
+    log.info("packing %d particles", scene.number)
     try:
         kept = cache_folder() / "packings"
         kept.mkdir(parents=True, exist_ok=True)
@@ -129,7 +129,7 @@ def _silent(_: str) -> None:
 
 def _settle(model: Plan, start: Array, tell: Tell, progress: Progress | None) -> Array:
     scene = model.scene
-    d, g = scene.group.diameter, scene.g
+    d, g = scene.diameter, scene.g
     fall = math.sqrt(2.0 * float(start[:, 2].max()) / g)
     if fall > MOST_STEPS * model.dt:
         raise InputError(
@@ -192,7 +192,7 @@ class _Said:
     def __init__(self, scene: Scene, steps: int, dt: float, tell: Tell, progress: Progress | None) -> None:
         self._tell, self._progress = tell, progress
         tell(
-            f"packing: {scene.group.number} particles settle in LIGGGHTS before the run, about {steps:.2g} steps of "
+            f"packing: {scene.number} particles settle in LIGGGHTS before the run, about {steps:.2g} steps of "
             f'{dt:.3g} s; the packing is kept for other runs of this bed (without: place = "lattice")'
         )
         self._began: float | None = None

@@ -37,8 +37,8 @@ from kncal.observe.signals import (
 )
 from kncal.physics.statistics import LONG_START_UP, MIN_SAMPLES, Average, average, average_of_samples, start_up
 from kncal.record.series import BedSeries
+from kncal.scene.gas import Gas
 from kncal.scene.metrics import why_not
-from kncal.scene.scene import Gas
 
 #: Signals whose start-ups are detected; the longest is left out of everything.
 START_UP_OF = ("p_in", "floor", "z_mean", "kinetic_energy")

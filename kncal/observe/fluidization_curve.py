@@ -11,7 +11,7 @@ from kncal.core.errors import InputError
 from kncal.physics.fluidization import minimum_fluidization_velocity, minimum_fluidization_velocity_wen_yu
 from kncal.physics.statistics import average_of_samples
 from kncal.record.series import BedSeries
-from kncal.scene.scene import Gas
+from kncal.scene.gas import Gas
 
 #: The packed part of a branch ends at this share of U_mf; U_mf with the other ends shows how much that matters.
 PACKED, PACKED_OTHER = 0.8, (0.7, 0.9)

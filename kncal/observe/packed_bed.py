@@ -11,7 +11,7 @@ from kncal.core.checks import Array
 from kncal.core.errors import InputError
 from kncal.physics.fluidization import EPS_DILUTE, ergun_gradient
 from kncal.record.series import BedSeries
-from kncal.scene.scene import Gas
+from kncal.scene.gas import Gas
 
 #: A gas velocity counts as held after so many couplings, and its gradient needs so many layers of cells.
 HELD, LAYERS = 10, 3

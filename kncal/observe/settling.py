@@ -9,7 +9,7 @@ import numpy as np
 from kncal.core.errors import InputError
 from kncal.physics.fluidization import relaxation_time, settling_velocity, terminal_velocity
 from kncal.record.series import BedSeries
-from kncal.scene.scene import Gas
+from kncal.scene.gas import Gas
 
 #: A force on a wall above this share of m g is a contact; below, it is what rounding leaves of the momentum balance.
 TOUCHES = 1e-6

@@ -113,7 +113,7 @@ def model_signs(model: Plan) -> tuple[Sign, ...]:
     if not model.contacts:
         return ()
     scene = model.scene
-    d = scene.group.diameter
+    d = scene.diameter
     return (_static(max(bottom_overlaps(model).values()) / d, "at the bottom of the bed at rest"), _sound_of(model))
 
 
@@ -142,7 +142,7 @@ def _of_signals(data: RunData, reference: RunData | None) -> tuple[Sign, ...]:
 
 def _sound_of(model: Plan, reference: Plan | None = None) -> Sign:
     scene = model.scene
-    contact, d = _shortest(model.contacts), scene.group.diameter
+    contact, d = _shortest(model.contacts), scene.diameter
     mass = float(sphere_mass(scene.spheres[0].material, d / 2.0))
     fastest = {"v_0": contact.v_0 or 0.0, "U_0": scene.inlet_at(0.0)}
     name = max(fastest, key=fastest.__getitem__)

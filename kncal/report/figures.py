@@ -126,15 +126,15 @@ def _draw_signals(comparison: Comparison, album: Album) -> None:
     """
     data = comparison.runs
     runs = {d.model.kind: d.seen for d in data}
-    particles = comparison.reference.model.scene.group
-    moving, gas = not particles.frozen, all(d.seen.get("eps_g") is not None for d in data)
-    several = moving and particles.number > 1
+    scene = comparison.reference.model.scene
+    moving, gas = not scene.frozen, all(d.seen.get("eps_g") is not None for d in data)
+    several = moving and scene.number > 1
     signals = {}
     if gas:
         signals["p_in"] = "Pressure at the inlet." + (
             " Two chaotic runs never follow each other: compare the means and their bands." if several else ""
         )
-    if particles.number and moving:
+    if scene.number and moving:
         signals["z_mean"] = (
             "Mean height of the particles: how far the bed is expanded, and whether it still drifts."
             if several

@@ -9,8 +9,9 @@ from kncal.core.units import percent, quantity
 from kncal.physics.drag import DRAGS
 from kncal.physics.methods import METHODS
 from kncal.report.page import Table
+from kncal.scene.gas import Gas
 from kncal.scene.model import Plan
-from kncal.scene.scene import ContactChoice, Gas
+from kncal.scene.scene import ContactChoice
 
 _DEPTHS = {
     "walls": "walls in front and at the back",
@@ -45,9 +46,9 @@ def run_settings(linear: Plan, hertz: Plan, costs: tuple[Any, Any]) -> Table:
         ("gas step", *(quantity(m.gas_step, "s") if gas is not None else "–" for m in models)),
         _both("box (x, y, z)", " × ".join(quantity(s, "m") for s in box.size)),
         _both("front and back", _DEPTHS.get(scene.front_back, scene.front_back)),
-        _both("particles", f"{particles.number:,} of {quantity(particles.diameter, 'm')}, start: {particles.place}"),
+        _both("particles", f"{scene.number:,} of {quantity(scene.diameter, 'm')}, start: {particles.place}"),
     ]
-    if particles.number and not particles.frozen:
+    if scene.number and not scene.frozen:
         rows.insert(3, ("DEM steps per coupling", *(str(m.steps_per_coupling) for m in models)))
     if gas is not None:
         edges = [size / n for size, n in zip(box.size, gas.cells, strict=True)]
@@ -55,7 +56,7 @@ def run_settings(linear: Plan, hertz: Plan, costs: tuple[Any, Any]) -> Table:
         rows += [
             _both(
                 "gas cells (x, y, z)",
-                f"{' × '.join(map(str, gas.cells))}; smallest edge {smallest / particles.diameter:.3g} diameters",
+                f"{' × '.join(map(str, gas.cells))}; smallest edge {smallest / scene.diameter:.3g} diameters",
             ),
             _both("drag law", f"{gas.drag}: {DRAGS.find(gas.drag).title}"),
             _both("gas enters", _inlet(gas)),

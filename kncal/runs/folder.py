@@ -25,7 +25,7 @@ from typing import Any
 
 from kncal import __version__
 from kncal.core.errors import ReadError, RenderError, RunError, failure_of
-from kncal.core.files import MOST_HASHED, read_limited, sha256, sweep_parts, write_json
+from kncal.core.files import MOST_HASHED, sha256, sweep_parts, write_json
 from kncal.core.lock import LOCK, locked, sign
 from kncal.core.records import is_record, read_record
 from kncal.core.templating import foreign_hashes
@@ -33,7 +33,7 @@ from kncal.engines.base import FRAMES, Profile
 from kncal.record.outcome import RunResult
 from kncal.record.series import PIECES, SERIES
 from kncal.runs.records import ATTEMPT, MANIFEST, RESULT, STARTED, CaseManifest, ModelManifest, Result, Started
-from kncal.scene.case_file import MOST_BYTES, dump_case, load_case
+from kncal.scene.case_file import FILES, copy_files, dump_case, identity_text, kept_identity, load_case
 from kncal.scene.model import KINDS, Plan
 from kncal.scene.scene import Scene
 
@@ -43,7 +43,7 @@ ROW = "row.json"
 #: Folder in a run folder with the rounds that measured its impact speed (see `kncal.runs.measure_speed`).
 MEASURING = "measuring"
 #: All that kncal puts into a run folder and moves to an attempt; what else is there is somebody's own.
-OURS = (*KINDS, CASE, MANIFEST, REPORT, ROW)
+OURS = (*KINDS, CASE, FILES, MANIFEST, REPORT, ROW)
 
 
 @contextmanager
@@ -81,6 +81,7 @@ def case_folder(
         # The manifest first: it says whose folder this is, should kncal be killed before the next line.
         write_json(out / MANIFEST, {"kncal": __version__, "case": scene.name, "case_sha256": digest, "created": _now()})
         (out / CASE).write_bytes(text)
+        copy_files(scene, out)
         yield descriptor
 
 
@@ -124,9 +125,8 @@ def _left_behind(path: Path) -> bool:
 
 
 def _same_case(scene: Scene, out: Path) -> bool:
-    text = dump_case(scene).encode()
     try:
-        return read_limited(out / CASE, MOST_BYTES, "a case file") == text
+        return kept_identity(out) == identity_text(scene)
     except ReadError:
         return False
 
@@ -146,6 +146,8 @@ def set_aside(out: Path, kinds: Iterable[str] | None = None) -> Path:
         shutil.copyfile(out / MANIFEST, attempt / MANIFEST)  # first: it says whose the attempt is (see `is_attempt`)
     if kinds is not None and (out / CASE).is_file():
         shutil.copyfile(out / CASE, attempt / CASE)
+        if (out / FILES).is_dir():
+            shutil.copytree(out / FILES, attempt / FILES)
     for name in sorted(names, key=lambda name: name == MANIFEST):  # the manifest last, see `_check_ours`
         if os.path.lexists(out / name):
             shutil.move(out / name, attempt / name)

@@ -10,8 +10,9 @@ import numpy as np
 from kncal.core.checks import Array
 from kncal.physics.fluidization import expanded_voidage
 from kncal.scene.finding import Finding
+from kncal.scene.gas import Gas
 from kncal.scene.load import largest_superficial, settled_height
-from kncal.scene.scene import Gas, Scene
+from kncal.scene.scene import Scene
 
 #: Smallest gas cell edge over particle diameter: void fractions mean nothing below the first, are coarse below the
 #: second.
@@ -25,11 +26,11 @@ FEWEST = 50
 
 def places(scene: Scene, x: Array) -> Iterator[Finding]:
     """Find a packing that is not in the box, or not one."""
-    if x.ndim != 2 or x.shape != (scene.group.number, 3) or not np.isfinite(x).all():
+    if x.ndim != 2 or x.shape != (scene.number, 3) or not np.isfinite(x).all():
         yield Finding(
             "positions",
             "refuse",
-            f"positions of shape {x.shape}: expected ({scene.group.number}, 3), finite",
+            f"positions of shape {x.shape}: expected ({scene.number}, 3), finite",
         )
         return
     box = scene.box
@@ -46,15 +47,15 @@ def places(scene: Scene, x: Array) -> Iterator[Finding]:
 
 def depth(scene: Scene) -> Iterator[Finding]:
     """Find a depth in which particles meet their own images, or rub on both walls."""
-    box, d = scene.box, scene.group.diameter
-    if scene.front_back == "periodic" and scene.group.number and box.depth < 3.0 * d:
+    box, d = scene.box, scene.diameter
+    if scene.front_back == "periodic" and scene.number and box.depth < 3.0 * d:
         yield Finding(
             "depth-periodic",
             "refuse",
             f"periodic depth of {box.depth / d:.3g} diameters: a particle would meet its own images: expected at "
             "least 3; deepen the column or use a layer",
         )
-    if scene.front_back == "walls" and scene.group.number > 1 and box.depth < 1.5 * d:
+    if scene.front_back == "walls" and scene.number > 1 and box.depth < 1.5 * d:
         yield Finding(
             "depth-one-layer",
             "warn",
@@ -81,8 +82,8 @@ def jet_faces(scene: Scene, gas: Gas) -> Iterator[Finding]:
 
 def small_cells(scene: Scene, gas: Gas) -> Iterator[Finding]:
     """Find gas cells too small for the particles."""
-    d = scene.group.diameter
-    if not scene.group.number:
+    d = scene.diameter
+    if not scene.number:
         return
     edges = {axis: size / n for axis, size, n in zip("xyz", scene.box.size, gas.cells, strict=True)}
     if scene.front_back == "layer":
@@ -112,10 +113,10 @@ def coarse_cells(scene: Scene, gas: Gas, eps: float) -> Iterator[Finding]:
     ----------
     eps : void fraction of the packing [-]
     """
-    box, p = scene.box, scene.group
-    if p.number < FEWEST:
+    box = scene.box
+    if scene.number < FEWEST:
         return
-    d, height = p.diameter, settled_height(scene, eps)
+    d, height = scene.diameter, settled_height(scene, eps)
     edges = {
         axis: size / n
         for axis, size, n in zip("xyz", box.size, gas.cells, strict=True)
@@ -124,7 +125,7 @@ def coarse_cells(scene: Scene, gas: Gas, eps: float) -> Iterator[Finding]:
     wide = "y" if "y" in edges and box.depth > box.width else "x"
     side = box.depth if wide == "y" else box.width
     fitting = math.floor(side / (CELL_COARSE * d) * (1.0 + 1e-9))
-    if not p.frozen and gas.cells["xyz".index(wide)] == 1 and fitting >= 2:
+    if not scene.frozen and gas.cells["xyz".index(wide)] == 1 and fitting >= 2:
         yield Finding(
             "cell-single",
             "refuse",
@@ -136,7 +137,7 @@ def coarse_cells(scene: Scene, gas: Gas, eps: float) -> Iterator[Finding]:
     large = {axis: f"{edge / d:.3g} particle diameters" for axis, edge in edges.items() if edge > CELL_LARGE * d}
     if edges["z"] > CELL_SHARE * height:
         large.setdefault("z", f"{edges['z'] / height:.2g} of the height of the bed at rest ({height:.3g} m)")
-    if not p.frozen and edges[wide] > CELL_SHARE * side * (1.0 + 1e-9):
+    if not scene.frozen and edges[wide] > CELL_SHARE * side * (1.0 + 1e-9):
         large.setdefault(wide, f"{edges[wide] / side:.2g} of the bed's {'depth' if wide == 'y' else 'width'}")
     for axis, size in large.items():
         yield Finding(
@@ -149,8 +150,8 @@ def coarse_cells(scene: Scene, gas: Gas, eps: float) -> Iterator[Finding]:
 
 def room(scene: Scene, gas: Gas, eps: float) -> Iterator[Finding]:
     """Find a column too low for the bed and its expansion."""
-    p, height = scene.group, scene.box.height
-    if p.number == 1:
+    height = scene.box.height
+    if scene.number == 1:
         return
     rest = settled_height(scene, eps)
     if rest > height:
@@ -164,7 +165,7 @@ def room(scene: Scene, gas: Gas, eps: float) -> Iterator[Finding]:
     speed = largest_superficial(scene)
     if speed == 0.0:
         return
-    hovering = expanded_voidage(speed, p.diameter, scene.density, gas.density, gas.viscosity, scene.g)
+    hovering = expanded_voidage(speed, scene.diameter, scene.density, gas.density, gas.viscosity, scene.g)
     expanded = rest * (1.0 - eps) / (1.0 - hovering) if hovering < 1.0 else math.inf
     expanded = max(expanded, rest)
     # Bubbling beds throw particles to about twice their mean height; the lid must be above that.

@@ -5,6 +5,7 @@ A refusal names the file, the line where it can, the key, the value and what is 
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
 from functools import cache
@@ -15,14 +16,18 @@ from pydantic import TypeAdapter, ValidationError
 
 from kncal.core.checks import short
 from kncal.core.errors import CaseFileError, InputError
+from kncal.core.files import read_limited, replacing, sha256, write_text
 from kncal.scene.case_checks import problems
 from kncal.scene.case_errors import Fault, fault, placed, refusal
 from kncal.scene.case_text import CASE, MOST_BYTES, dump, find_case, parse_toml, read_case, shipped_cases
 from kncal.scene.overrides import overridden, parse_overrides
-from kncal.scene.scene import Scene
+from kncal.scene.scene import FILES, Scene
 from kncal.scene.values import NAME, NAME_EXPECTED
 
-__all__ = ["CASE", "MOST_BYTES", "dump_case", "find_case", "load_case", "parse_case", "shipped_cases"]
+__all__ = [
+    "CASE", "FILES", "MOST_BYTES", "copy_files", "dump_case", "find_case", "identity_text", "kept_identity",
+    "load_case", "parse_case", "shipped_cases", "write_case",
+]  # fmt: skip
 
 #: What ``contact.v_0`` says where the speed is to be measured.
 MEASURED = "measured"
@@ -48,21 +53,29 @@ def load_case(case: str | Path, *, name: str | None = None, overrides: Sequence[
         If an override is not of its form.
     """
     text, name, where = read_case(case, name)
-    tables = parse_toml(text, where)
+    tables, home = parse_toml(text, where), Path(where).parent
     changes = parse_overrides(overrides)
     if not changes:
-        return parse_case(text, name=name, where=where, tables=tables)
+        return parse_case(text, name=name, where=where, tables=tables, folder=home)
     refuse_old(tables, where)
     try:
-        return parse_case(text, name=name, where=where, tables=overridden(tables, changes))
+        return parse_case(text, name=name, where=where, tables=overridden(tables, changes), folder=home)
     except CaseFileError as error:
         raise CaseFileError(f"{error}\n(with {', '.join(map(str, changes))} from outside the file)") from error
 
 
-def parse_case(text: str, *, name: str, where: str = "case", tables: Mapping[str, Any] | None = None) -> Scene:
+def parse_case(
+    text: str,
+    *,
+    name: str,
+    where: str = "case",
+    tables: Mapping[str, Any] | None = None,
+    folder: Path | None = None,
+) -> Scene:
     """Return the scene that the text of a case file describes; ``where`` stands for the file in messages.
 
-    ``tables``: the tables of the text, where some values in them are not the text's.
+    ``tables``: the tables of the text, where some values in them are not the text's; ``folder``: where the files lie
+    that the case names.
 
     Raises
     ------
@@ -74,10 +87,11 @@ def parse_case(text: str, *, name: str, where: str = "case", tables: Mapping[str
     tables = parse_toml(text, where) if tables is None else tables
     refuse_old(tables, where)
     given, faults = _contact(tables)
-    if "name" in tables:
-        faults.append((("name",), "name: unknown key: the name of a case is that of its folder: leave it out"))
+    for key in ("name", "folder"):
+        if key in tables:
+            faults.append(((key,), f"{key}: unknown key: the name of a case is that of its folder: leave it out"))
     try:
-        scene: Scene = _adapter().validate_python({**given, "name": name})
+        scene: Scene = _adapter().validate_python({**given, "name": name, "folder": folder})
     except ValidationError as error:
         found = [fault(e, tables) for e in error.errors(include_url=False)]
         # one of each key: of a choice of kinds, and of a vector, pydantic tells several
@@ -155,11 +169,11 @@ def dump_case(scene: Scene) -> str:
     InputError
         If the scene holds something that no case file may say.
     """
-    text = dump(scene, skip={"name"})
+    text = dump(scene, skip={"name", "folder"})
     if (size := len(text.encode())) > MOST_BYTES:
         raise InputError(f"scene {scene.name!r}: {size} bytes as a case file: expected at most {MOST_BYTES}")
     try:
-        back = parse_case(text, name=scene.name, where=f"scene {scene.name!r}")
+        back = parse_case(text, name=scene.name, where=f"scene {scene.name!r}", folder=scene.folder)
     except CaseFileError as error:
         raise InputError(f"the scene cannot be written as a case file: {error}") from error
     if back != scene:
@@ -168,3 +182,42 @@ def dump_case(scene: Scene) -> str:
             f"scene {scene.name!r}: a case file cannot hold its {', '.join(different)}: expected consistent numbers"
         )
     return text
+
+
+def write_case(scene: Scene, path: Path) -> None:
+    """Write the case file ``path``, whose folder exists, and copies of the files that it names.
+
+    Raises
+    ------
+    InputError, CaseFileError
+        As `dump_case`, or if a file is missing.
+    """
+    write_text(path, dump_case(scene))
+    copy_files(scene, path.parent)
+
+
+def copy_files(scene: Scene, folder: Path) -> None:
+    """Copy the files that a case names to where a case file in ``folder`` finds them."""
+    for name in scene.files:
+        source, target = scene.path_of(name), folder / FILES / name
+        if source == target.resolve():
+            continue
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(target) as file, source.open("rb") as given:
+            shutil.copyfileobj(given, file)
+
+
+def identity_text(scene: Scene) -> str:
+    """Return a text that two scenes share only if their case files, and the files that these name, are equal."""
+    return _identity(dump_case(scene), {name: scene.path_of(name) for name in scene.files})
+
+
+def kept_identity(folder: Path) -> str:
+    """Return the `identity_text` of a case that was written into ``folder``; `ReadError` if it cannot be read."""
+    text = read_limited(folder / CASE, MOST_BYTES, "a case file").decode("utf-8")
+    there = (path for path in (folder / FILES).rglob("*") if path.is_file())
+    return _identity(text, {path.relative_to(folder / FILES).as_posix(): path for path in there})
+
+
+def _identity(text: str, files: Mapping[str, Path]) -> str:
+    return text + "".join(f"# {name}: {sha256(files[name])}\n" for name in sorted(files))

@@ -241,7 +241,7 @@ def steps(model: Plan) -> Iterator[Finding]:
 
 def dem_steps(model: Plan) -> Iterator[Finding]:
     """Find a time step of a bed that is not stable, or makes e_n wrong."""
-    others = model.scene.group.number - 1
+    others = model.scene.number - 1
     most = min(CONTACTS_DENSE, others + CORNER)
     for (a, b), contact in model.named.items():
         if a == b and not others:
@@ -267,12 +267,12 @@ def dem_steps(model: Plan) -> Iterator[Finding]:
 
 def bottom_of_bed(model: Plan) -> Iterator[Finding]:
     """Find contacts too soft for the weight of the bed."""
-    p = model.scene.group
-    if p.frozen or p.number == 0:
+    scene = model.scene
+    if scene.frozen or scene.number == 0:
         return
     for pair, overlap in bottom_overlaps(model).items():
         a, b = model.species.names(pair)
-        share = overlap / p.diameter
+        share = overlap / scene.diameter
         if share > STATIC_LARGE:
             refused = share >= STATIC_LARGEST
             yield Finding(

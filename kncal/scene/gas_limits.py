@@ -13,9 +13,10 @@ from typing import Literal
 
 from kncal.physics.fluidization import minimum_fluidization_velocity, relaxation_time, terminal_velocity
 from kncal.scene.finding import Finding
+from kncal.scene.gas import Gas
 from kncal.scene.load import largest_superficial, settled_height
 from kncal.scene.model import Plan
-from kncal.scene.scene import Gas, Scene
+from kncal.scene.scene import Scene
 
 #: Courant number U dt/h of the gas step.
 COURANT_LARGEST, COURANT_LARGE = 2.0, 1.0
@@ -33,7 +34,7 @@ def _fastest_gas(scene: Scene, gas: Gas, eps: float) -> tuple[float, str]:
     """Estimate of the fastest interstitial gas [m/s], and where it is."""
     if gas.jet is not None:
         return gas.jet.velocity, "the jet"
-    share = eps if scene.group.number > 1 else 1.0
+    share = eps if scene.number > 1 else 1.0
     return largest_superficial(scene) / share, f"the bed (U_0/{share:.2g})" if share < 1.0 else "the column"
 
 
@@ -57,16 +58,15 @@ def courant(model: Plan, gas: Gas, eps: float) -> Iterator[Finding]:
 def relaxation(model: Plan, gas: Gas, eps: float) -> Iterator[Finding]:
     """Find coupling intervals too long for the drag on particles that move."""
     scene = model.scene
-    p = scene.group
     rho = scene.density
-    if p.frozen:
+    if scene.frozen:
         return
-    fall = float(terminal_velocity(p.diameter, rho, gas.density, gas.viscosity, scene.g))
-    if p.number == 1:
+    fall = float(terminal_velocity(scene.diameter, rho, gas.density, gas.viscosity, scene.g))
+    if scene.number == 1:
         slip, voidage = fall, 1.0
     else:
         slip, voidage = largest_superficial(scene) / eps, eps
-    tau = float(relaxation_time(rho, p.diameter, gas.density, gas.viscosity, slip=slip, eps_g=voidage))
+    tau = float(relaxation_time(rho, scene.diameter, gas.density, gas.viscosity, slip=slip, eps_g=voidage))
     bias = model.coupling / tau
     if bias > BIAS_LARGE:
         yield Finding(
@@ -80,9 +80,8 @@ def relaxation(model: Plan, gas: Gas, eps: float) -> Iterator[Finding]:
 
 def _particle_speed(scene: Scene, gas: Gas) -> tuple[float, str]:
     """Estimate of the fastest particles [m/s], and from what."""
-    p = scene.group
-    excess = float(terminal_velocity(p.diameter, scene.density, gas.density, gas.viscosity, scene.g))
-    if p.number == 1:
+    excess = float(terminal_velocity(scene.diameter, scene.density, gas.density, gas.viscosity, scene.g))
+    if scene.number == 1:
         return max(abs(largest_superficial(scene) - excess), 0.0), "its velocity relative to the column in the end"
     # Bubbles and slugs throw particles up, and drop them, by about the height of the bed.
     fall = math.sqrt(2.0 * scene.g * settled_height(scene))
@@ -91,10 +90,10 @@ def _particle_speed(scene: Scene, gas: Gas) -> tuple[float, str]:
 
 def way(model: Plan, gas: Gas) -> Iterator[Finding]:
     """Find coupling intervals in which particles move too far."""
-    if model.scene.group.frozen:
+    if model.scene.frozen:
         return
     speed, why = _particle_speed(model.scene, gas)
-    d = model.scene.group.diameter
+    d = model.scene.diameter
     way = speed * model.coupling / d
     if way > WAY_LARGE:
         yield Finding(
@@ -112,9 +111,8 @@ def added_mass(scene: Scene, gas: Gas) -> Iterator[Finding]:
     A sphere that accelerates takes half of the displaced mass with it (Clift, Grace & Weber, Bubbles, Drops, and
     Particles (1978), chapter 11).
     """
-    p = scene.group
     ratio = gas.density / scene.density
-    if p.number and not p.frozen and ratio > HEAVY_GAS:
+    if scene.number and not scene.frozen and ratio > HEAVY_GAS:
         yield Finding(
             "added-mass",
             "warn",
@@ -146,12 +144,12 @@ def held_drag(model: Plan, gas: Gas, eps: float) -> Iterator[Finding]:
     ----------
     eps : void fraction [-]
     """
-    p, speed = model.scene.group, largest_superficial(model.scene)
-    if not p.number or not p.frozen or speed == 0.0:
+    scene, speed = model.scene, largest_superficial(model.scene)
+    if not scene.number or not scene.frozen or speed == 0.0:
         return
-    voidage = eps if p.number > 1 else 1.0
+    voidage = eps if scene.number > 1 else 1.0
     slip = speed / voidage
-    tau = float(relaxation_time(model.scene.density, p.diameter, gas.density, gas.viscosity, slip=slip, eps_g=voidage))
+    tau = float(relaxation_time(scene.density, scene.diameter, gas.density, gas.viscosity, slip=slip, eps_g=voidage))
     bias = model.gas_step / tau
     if bias > BIAS_LARGE:
         yield Finding(
@@ -166,10 +164,9 @@ def held_drag(model: Plan, gas: Gas, eps: float) -> Iterator[Finding]:
 
 def lift(scene: Scene, gas: Gas, eps: float) -> Iterator[Finding]:
     """Find a gas too slow to fluidise the bed, or so fast that it carries it out."""
-    p = scene.group
-    if p.number == 1 or (speed := largest_superficial(scene)) == 0.0:
+    if scene.number == 1 or (speed := largest_superficial(scene)) == 0.0:
         return
-    U_mf = float(minimum_fluidization_velocity(p.diameter, scene.density, gas.density, gas.viscosity, eps, scene.g))
+    U_mf = float(minimum_fluidization_velocity(scene.diameter, scene.density, gas.density, gas.viscosity, eps, scene.g))
     if speed < U_mf:
         yield Finding(
             "below-u-mf",
@@ -178,7 +175,7 @@ def lift(scene: Scene, gas: Gas, eps: float) -> Iterator[Finding]:
             f"(Ergun at eps_g = {eps:.3g}): expected more for a bubbling bed, or"
             " particles.frozen = true for a packed one",
         )
-    v_t = float(terminal_velocity(p.diameter, scene.density, gas.density, gas.viscosity, scene.g))
+    v_t = float(terminal_velocity(scene.diameter, scene.density, gas.density, gas.viscosity, scene.g))
     if speed >= v_t:
         yield Finding(
             "carried-out",

@@ -38,18 +38,22 @@ def _many(scene: Scene) -> bool:
     return scene.coupled
 
 
+def _boxed(scene: Scene) -> bool:
+    return scene.run.coupling is not None
+
+
 def _gas(scene: Scene) -> bool:
     return scene.gas is not None
 
 
 def _heavy(scene: Scene) -> bool:
     """Whether gas acts against the weight of particles."""
-    return scene.gas is not None and scene.group.number > 0 < scene.g
+    return scene.gas is not None and scene.number > 0 < scene.g
 
 
 def _loose(scene: Scene) -> bool:
     """Whether gas acts against the weight of particles that can move."""
-    return _heavy(scene) and not scene.group.frozen
+    return _heavy(scene) and not scene.frozen
 
 
 #: Every limit, in the order in which they are said.
@@ -57,7 +61,7 @@ LIMITS = (
     Limit(_single, lambda p, _: contact_limits.first_impacts_starts_and_rest(p)),
     Limit(_single, lambda p, _: contact_limits.steps(p)),
     Limit(_single, lambda p, _: contact_limits.recording(p)),
-    Limit(_many, lambda p, _: box_limits.depth(p.scene)),
+    Limit(_boxed, lambda p, _: box_limits.depth(p.scene)),
     Limit(_many, lambda p, _: contact_limits.dem_steps(p)),
     Limit(_many, lambda p, _: contact_limits.bottom_of_bed(p)),
     Limit(_gas, lambda p, _: box_limits.jet_faces(p.scene, p.scene.gas)),
@@ -86,7 +90,7 @@ def check(plan: Plan, positions: ArrayLike | None = None) -> tuple[Finding, ...]
     """
     scene, eps = plan.scene, EPS_SETTLED
     found: list[Finding] = []
-    if positions is not None and scene.coupled:
+    if positions is not None and _boxed(scene):
         x = np.asarray(positions, dtype=np.float64)
         found += box_limits.places(scene, x)
         if all(finding.code != "positions" for finding in found):

@@ -12,6 +12,7 @@ from kncal.physics.material import sphere_mass
 from kncal.scene.model import Plan
 from kncal.scene.scene import Scene
 from kncal.scene.species import SpeciesPair
+from kncal.scene.walls import BoxWall
 
 #: Void fraction of a settled packing of equal spheres, where no positions are given to measure it.
 EPS_SETTLED = 0.40
@@ -21,17 +22,35 @@ EPS_MF = 0.45
 
 def layers(scene: Scene) -> float:
     """Return the number of particles above the cross-section d² of one, N d²/(floor area), at least 1 (itself)."""
-    group, box = scene.group, scene.box
-    return max(group.number * group.diameter**2 / (box.width * box.depth), 1.0)
+    return max(scene.number * scene.diameter**2 / floor_area(scene), 1.0)
+
+
+def floor_area(scene: Scene) -> float:
+    """Return the area on which the particles of a coupled scene rest [m²].
+
+    That of the box's floor; without a box the cross-section of the smallest region that particles are put into, in a
+    periodic scene of the domain.
+    """
+    boxes = [wall for wall in scene.walls.values() if isinstance(wall, BoxWall)]
+    if boxes:
+        return boxes[0].width * boxes[0].depth
+    across = int(np.argmax(np.abs(scene.up)))
+    low, high = scene.extent
+    whole = math.prod(high[k] - low[k] for k in range(3) if k != across)
+    regions = [group.region for group in scene.particles.values() if group.region is not None]
+    heights = [float((region.bounds[1] - region.bounds[0])[across]) for region in regions]
+    return min([region.volume / height for region, height in zip(regions, heights, strict=True)], default=whole)
 
 
 def bottom_load(scene: Scene) -> float:
     """Return the weight [N] that a particle at the bottom of the bed at rest carries, its own included.
 
-    That of all above its cross-section d²: side walls carry none, the gas neither.
+    That of all above its cross-section d²: side walls carry none, the gas neither. Of several sizes the largest.
     """
-    sphere = scene.spheres[0]
-    return float(sphere_mass(sphere.material, sphere.radius)) * scene.g * layers(scene)
+    own = max(float(sphere_mass(sphere.material, sphere.radius)) for sphere in scene.spheres)
+    if scene.d_min == scene.d_max:
+        return own * scene.g * layers(scene)
+    return max(own, scene.mass * scene.d_max**2 / floor_area(scene)) * scene.g
 
 
 def bottom_overlaps(model: Plan) -> dict[SpeciesPair, float]:
@@ -52,9 +71,8 @@ def largest_superficial(scene: Scene) -> float:
 
 def settled_height(scene: Scene, eps_g: float = EPS_SETTLED) -> float:
     """Return the height of the bed at rest [m] at the void fraction ``eps_g``: solid volume/((1 - eps_g) area)."""
-    group, box = scene.group, scene.box
-    solid = group.number * math.pi / 6.0 * group.diameter**3
-    return solid / ((1.0 - eps_g) * box.width * box.depth)
+    solid = scene.number * math.pi / 6.0 * scene.diameter**3
+    return solid / ((1.0 - eps_g) * floor_area(scene))
 
 
 def settled_voidage(scene: Scene, positions: Array) -> float:
@@ -69,15 +87,15 @@ def settled_voidage(scene: Scene, positions: Array) -> float:
     top = float(np.quantile(z, 0.95))
     low, high = 0.1 * top, 0.75 * top
     inside = np.count_nonzero((z >= low) & (z < high))
-    box, d = scene.box, scene.group.diameter
+    box, d = scene.box, scene.diameter
     solids = inside * math.pi / 6.0 * d**3 / ((high - low) * box.width * box.depth)
     return float(np.clip(1.0 - solids, 0.2, 0.95))
 
 
 def fluidised(scene: Scene) -> bool:
     """Return whether steady gas moves the bed: faster than U_mf (Ergun) of the bed as loose as U_mf is stated at."""
-    gas, p = scene.gas, scene.group
-    if gas is None or gas.ramp or p.frozen or scene.g == 0.0:
+    gas = scene.gas
+    if gas is None or gas.ramp or scene.frozen or scene.g == 0.0:
         return False
-    U_mf = minimum_fluidization_velocity(p.diameter, scene.density, gas.density, gas.viscosity, EPS_MF, scene.g)
+    U_mf = minimum_fluidization_velocity(scene.diameter, scene.density, gas.density, gas.viscosity, EPS_MF, scene.g)
     return gas.jet is not None or float(U_mf) < gas.U_0

@@ -14,6 +14,7 @@ from kncal.physics.fluidization import terminal_velocity
 from kncal.scene.bodies import Particle, Wall
 from kncal.scene.motion import Contact, directions, friction_of, motion_of, normal_of, particles_in, relative_space
 from kncal.scene.scene import Scene
+from kncal.scene.species import listed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -241,8 +242,8 @@ def _of_coupled(scene: Scene) -> Needs:
         tangential,
         rolling,
         _coupled_damping(scene, contacts),
-        _depth(scene),
-        _coupling(gas, motion.used, bool(scene.group.number)),
+        *([_depth(scene)] if scene.run.coupling is not None else _of_walls(scene)),
+        _coupling(gas, motion.used, bool(scene.number)),
         Need("liggghts", moved := motion.used or settling.used, work if moved else "nothing moves but the gas"),
         Need("openfoam", gas, "moves the gas" if gas else "there is no gas"),
     )
@@ -257,14 +258,14 @@ def _of_coupled(scene: Scene) -> Needs:
 
 
 def _moving(scene: Scene) -> tuple[Need, Need]:
-    particles = scene.group
-    settles = particles.number > 0 and particles.place == "settled"
-    if not particles.number:
+    settles = scene.number > 0 and scene.settles
+    places = ", ".join(dict.fromkeys(f'"{group.place}"' for group in scene.particles.values()))
+    if not scene.number:
         moves, why = False, "there are no particles"
-    elif particles.frozen:
+    elif scene.frozen:
         moves, why = False, "the particles are frozen where they are"
     else:
-        moves, why = True, f"{particles.number} particles are free to move"
+        moves, why = True, f"{scene.number} particles are free to move"
     return (
         Need("motion", moves, why),
         Need(
@@ -272,8 +273,8 @@ def _moving(scene: Scene) -> tuple[Need, Need]:
             settles,
             "the packing settles from a loose lattice"
             if settles
-            else f'the packing is "{particles.place}"'
-            if particles.number
+            else f"the packing is {places}"
+            if scene.number
             else "there are no particles",
         ),
     )
@@ -282,8 +283,8 @@ def _moving(scene: Scene) -> tuple[Need, Need]:
 def _coupled_contacts(scene: Scene, moves: bool) -> tuple[bool, str]:
     if not moves:
         return False, "nothing moves, so no contact changes"
-    if scene.group.number > 1:
-        return True, f"{scene.group.number} particles in one column meet"
+    if scene.number > 1:
+        return True, f"{scene.number} particles meet"
     reach = _reach(scene)
     if reach is not None and reach[0] < reach[1]:
         return False, f"a single particle that drifts {reach[0]:.3g} m, with {reach[1]:.3g} m free in its way"
@@ -299,10 +300,10 @@ def _reach(scene: Scene) -> tuple[float, float] | None:
     particles, gas = scene.group, scene.gas
     if gas is None or gas.jet is not None or gas.ramp or not particles.centres or scene.g == 0.0:
         return None
-    fall = float(terminal_velocity(particles.diameter, scene.density, gas.density, gas.viscosity, scene.g))
+    fall = float(terminal_velocity(scene.diameter, scene.density, gas.density, gas.viscosity, scene.g))
     drift = gas.U_0 - fall
     z = particles.centres[0][2]
-    free = (scene.box.height - z if drift > 0.0 else z) - 0.5 * particles.diameter
+    free = (scene.box.height - z if drift > 0.0 else z) - 0.5 * scene.diameter
     return 1.1 * abs(drift) * (scene.run.until_time or math.inf), free
 
 
@@ -349,6 +350,24 @@ def _depth(scene: Scene) -> Need:
     }
     used, reason = reasons[scene.front_back]
     return Need("depth", used, reason)
+
+
+def _of_walls(scene: Scene) -> tuple[Need, ...]:
+    """What the walls, the ends and the sources of a scene without gas require."""
+    streams = [name for name, group in scene.particles.items() if group.place == "stream"]
+    moving = [name for name, wall in scene.walls.items() if wall.motion or any(wall.surface_velocity)]
+    removed = [name for name, wall in scene.walls.items() if wall.remove_at is not None]
+    return tuple(
+        Need(name, bool(found), f"{listed(list(found))} {what}" if found else f"nothing {without}")
+        for name, found, what, without in (
+            ("walls", tuple(scene.walls), "can be touched", "bounds the particles"),
+            ("wall_motion", moving, "move", "moves a wall"),
+            ("wall_removal", removed, "go during the run", "takes a wall away"),
+            ("insertion", streams, "flow in during the run", "flows in"),
+            ("outlets", tuple(scene.outlets), "count what passes", "counts what passes"),
+            ("periodic", scene.periodic, "are periodic", "is periodic"),
+        )
+    )
 
 
 def _coupling(gas: bool, motion: bool, particles: bool) -> Need:

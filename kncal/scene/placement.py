@@ -1,4 +1,4 @@
-"""Where particles are at the start, as far as it takes no solver: on a loose lattice, or where the case says."""
+"""Where particles are at the start, as far as it takes no solver: in a loose heap in a region, or as the case says."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kncal.core.checks import Array
 from kncal.core.errors import InputError
@@ -16,6 +17,32 @@ from kncal.scene.scene import Scene
 
 #: Lattice spacing and the largest random offset on each axis, in diameters: 1.12 - 2 x 0.04 > 1, so none overlap.
 SPACING, OFFSET = 1.12, 0.04
+
+
+@dataclass(frozen=True, kw_only=True)
+class Start:
+    """The particles at the start of a run; row i is the particle with id i + 1.
+
+    Attributes
+    ----------
+    x, v, spin : (n, 3) [m], [m/s], [rad/s]
+    kind : (n,) index of each one's size class in `Scene.classes`
+    """
+
+    x: Array
+    v: Array
+    spin: Array
+    kind: NDArray[np.intp]
+
+    @classmethod
+    def at_rest(cls, x: Array, kind: NDArray[np.intp] | None = None) -> Start:
+        """Return particles at rest at ``x`` (n, 3) [m], by default all of the first class."""
+        return cls(
+            x=x,
+            v=np.zeros_like(x),
+            spin=np.zeros_like(x),
+            kind=np.zeros(len(x), dtype=np.intp) if kind is None else kind,
+        )
 
 
 def lattice(scene: Scene) -> Array:
@@ -29,7 +56,7 @@ def lattice(scene: Scene) -> Array:
         If the column is too small for them.
     """
     box, particles = scene.box, scene.group
-    d, n = particles.diameter, particles.number
+    d, n = scene.diameter, scene.number
     layer = scene.front_back == "layer"
     sides = [_Sites.of(box.width, d), _Sites.of(box.depth, d, periodic=scene.front_back == "periodic")]
     sides.append(_Sites.of(box.height, d))
@@ -76,9 +103,9 @@ def given(scene: Scene) -> Array:
     """Return the centres (n, 3) [m] that the case gives; InputError if they are of another shape or not finite."""
     particles = scene.group
     positions = np.array(particles.centres, dtype=np.float64)
-    if positions.shape != (particles.number, 3) or not np.isfinite(positions).all():
+    if positions.shape != (scene.number, 3) or not np.isfinite(positions).all():
         raise InputError(
-            f"{scene.name}: positions of shape {positions.shape}: expected ({particles.number}, 3) finite numbers, "
+            f"{scene.name}: positions of shape {positions.shape}: expected ({scene.number}, 3) finite numbers, "
             "x, y, z for each particle"
         )
     return positions

@@ -128,7 +128,7 @@ def species_choices(scene: Scene) -> dict[SpeciesPair, PairNumbers]:
 def _why_no_speed(scene: Scene) -> str:
     if scene.coupled:
         return (
-            "a bed has no first impact to calibrate at: expected contact.v_0 [m/s], typical of this bed, or "
+            "many particles have no first impact to calibrate at: expected contact.v_0 [m/s], typical of them, or "
             "contact.k_n [N/m]"
         )
     pressed = [(a, b, d) for a, b in scene.body_pairs() if (d := initial_overlap(a, b)) > 0.0]
@@ -233,7 +233,7 @@ def _coupled(scene: Scene, kind: str, needs: Needs) -> Plan:
     if needs.uses("liggghts"):
         overlaps = dict.fromkeys(species_of(scene).pairs(), 0.0)
         contacts, _ = species_contacts(scene, kind, overlaps, needs=needs)
-    wish, t_end = scene.run.coupling or math.inf, scene.run.until_time or math.inf  # checked: both are given
+    wish, t_end = scene.interval or math.inf, scene.run.until_time or math.inf  # checked: both are given
     shortest = min((c.t_c for c in contacts.values()), default=math.inf)
     dt = min(shortest / scene.run.steps_per_contact, wish)
     # 1e-9: a wish that is a whole number of steps but for rounding is that number
@@ -272,7 +272,7 @@ def _coupled(scene: Scene, kind: str, needs: Needs) -> Plan:
 
 def _check_series(scene: Scene, couplings: int, frames: int) -> None:
     """Refuse records that would fill disk and memory: single precision, six numbers a particle, five a gas cell."""
-    size = 24 * scene.group.number + (20 * math.prod(scene.cells) if scene.drag else 0)
+    size = 24 * scene.number + (20 * math.prod(scene.cells) if scene.drag else 0)
     if frames * size + couplings * COUPLING_BYTES > MOST_SERIES_BYTES:
         raise CaseFileError(
             f"{scene.name}: {frames} frames of {size / 1e6:.3g} MB and {couplings} couplings of "

@@ -6,63 +6,62 @@ The classes are the schema of a case file: each is a table of it, and each field
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable
+import math
+from collections.abc import Container, Iterable, Iterator, Mapping
+from dataclasses import field as stdlib_field
 from dataclasses import replace
 from functools import cached_property
+from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import Field
 
-from kncal.core.errors import InputError
+from kncal.core.checks import Array
+from kncal.core.errors import CaseFileError, InputError
 from kncal.physics.material import RANGES, Material
-from kncal.scene.bodies import RIGID, Axis, Body, Particle, Wall
+from kncal.scene.bodies import AXES, RIGID, Axis, Body, Particle, Vector, Wall
+from kncal.scene.events import Event, events_of
+from kncal.scene.extent import Bounds, bounds_of, extent_of
+from kncal.scene.gas import Gas
+from kncal.scene.groups import AT_REST, DomainBox, ObserveChoice, Outlet, Particles
+from kncal.scene.population import FromFile, SizeClass, from_file, number_of
+from kncal.scene.run_control import RunControl
+from kncal.scene.sizes import Classes, classes, counts
 from kncal.scene.values import (
     Acceleration,
     Cells,
-    Coordinate,
     Flag,
     Friction,
-    GasDensity,
-    GasSpeed,
-    GasViscosity,
-    Length,
     Name,
     Number,
     Option,
-    Parcels,
-    Position,
-    Ramp,
     Restitution,
     Seconds,
     Share,
     Speed,
-    Spin,
-    Step,
     Stiffness,
     Text,
-    Time,
     Tolerance,
-    Velocity,
     Whole,
     Word,
     checked_class,
     within,
 )
-from kncal.scene.walls import WALLS, AnyWall, BoxWall, PlaneWall
+from kncal.scene.walls import WALLS, AnyWall, BoxWall, MeshWall, PlaneWall
 
-#: Particles of one group, and most groups and walls of a scene.
-MOST_PARTICLES, MOST_WALLS, MOST_PAIRS = 1_000_000, 20, 200
+#: Most walls, outlets and exceptions of a scene.
+MOST_WALLS, MOST_OUTLETS, MOST_PAIRS = 20, 10, 200
 #: Particles of which each may touch each; every pair is planned and observed.
 MOST_SINGLE = 100
 #: Parcels that may share a particle's volume.
 PARCELS = (1, 8, 27)
+#: Where copies of a case keep the files that it names, beside the case.
+FILES = "files"
 #: What bounds a box in y: walls, nothing (periodic), or nothing since particles are held in one layer.
 Depth = Literal["walls", "periodic", "layer"]
-AT_REST = (0.0, 0.0, 0.0)
 
 _T = TypeVar("_T")
-StepsPerContact = Annotated[Number, within(4.0, 1e6, hint="50 is usual")]
 
 
 @checked_class
@@ -73,84 +72,6 @@ class MaterialData:
     poisson: Number = Field(description="Poisson's ratio [-]")
     density: Number = Field(description="density [kg/m³]")
     yield_strength: Number | None = Field(default=None, description="yield strength [Pa]")
-
-
-@checked_class
-class Particles:
-    """``[particles.NAME]``: equal spheres; a single particle is a group of one."""
-
-    material: Name = Field(description="the name of a material")
-    diameter: Length = Field(description="diameter [m]")
-    count: Annotated[Whole, within(0, MOST_PARTICLES)] | None = Field(
-        default=None, description="number of particles; none: of the positions given; 0: gas only"
-    )
-    place: Word = Field(
-        default="given",
-        description='where they start: "given" (position, positions), "lattice" (a loose lattice from the floor up) or '
-        '"settled" (LIGGGHTS settles that lattice under gravity)',
-    )
-    position: Position | None = Field(default=None, description="[x, y, z] of the centre of a single particle [m]")
-    positions: Annotated[tuple[Position, ...], Field(max_length=MOST_PARTICLES)] = Field(
-        default=(), description="[x, y, z] of the centre of each particle [m]"
-    )
-    velocity: Velocity = Field(default=AT_REST, description="[x, y, z] of the velocity at the start [m/s]")
-    spin: Spin = Field(default=AT_REST, description="[x, y, z] of the angular velocity at the start [rad/s]")
-    seed: Annotated[Whole, within(0, 2**31 - 1)] = Field(default=1, description="seed of the lattice's random offsets")
-    settle_k_n: Stiffness | None = Field(
-        default=None,
-        description='stiffness of the spring by which "settled" particles settle [N/m]; none: of the linear run',
-    )
-    frozen: Flag = Field(default=False, description="true: the particles do not move")
-
-    @property
-    def centres(self) -> tuple[Position, ...]:
-        """The positions that are given [m]."""
-        return self.positions if self.position is None else (self.position,)
-
-    @property
-    def number(self) -> int:
-        """Number of particles."""
-        return len(self.centres) if self.count is None else self.count
-
-
-@checked_class
-class Jet:
-    """``[gas.jet]``: a slot in the floor over the whole depth; gas enters through it only."""
-
-    x_low: Coordinate = Field(description="lower end of the slot in x, on a cell face [m]")
-    x_high: Coordinate = Field(description="upper end of the slot in x, on a cell face [m]")
-    velocity: Annotated[Number, within(1e-6, 1e3, "m/s")] = Field(
-        description="velocity of the gas in the slot, upwards [m/s]"
-    )
-
-
-@checked_class
-class Gas:
-    """``[gas]``: the gas in the box, its cells, and how it enters."""
-
-    cells: Cells = Field(description="numbers of gas cells of the box in x, y and z")
-    density: GasDensity = Field(description="density [kg/m³]")
-    viscosity: GasViscosity = Field(description="dynamic viscosity [Pa s]")
-    walls: Literal["slip", "noSlip"] = Field(default="slip", description='of the gas at the walls: "slip" or "noSlip"')
-    U_0: GasSpeed = Field(default=0.0, description="superficial velocity over the whole floor [m/s]")
-    ramp: Ramp = Field(
-        default=(),
-        description="[time [s], superficial velocity [m/s]] points, linear in between and constant outside",
-    )
-    jet: Jet | None = Field(default=None, description="[gas.jet] with x_low, x_high, velocity")
-    drag: Word = Field(
-        default="ErgunWenYu", description="drag law: ErgunWenYu, PlessisMasliyah, or one that a package adds"
-    )
-    parcels_per_particle: Parcels = Field(
-        default=1, description="parcels that share a particle's volume, for cells near the particle's size: 1, 8 or 27"
-    )
-
-    def inlet_at(self, time: float) -> float:
-        """Return the superficial velocity through the floor at ``time`` [s]: U_0 or the ramp's [m/s]; 0 with a jet."""
-        if not self.ramp:
-            return self.U_0
-        times, velocities = zip(*self.ramp, strict=True)
-        return float(np.interp(time, times, velocities))
 
 
 @checked_class
@@ -216,43 +137,12 @@ class ContactChoice:
 
 
 @checked_class
-class RunControl:
-    """``[run]``: how long and how finely to run.
-
-    With ``coupling``, particles (and gas) go on in intervals, and each is recorded; without, the solver runs once from
-    start to end, and every contact is recorded step by step.
-    """
-
-    until_time: Seconds | None = Field(default=None, description="end time [s]")
-    until_bounces: Annotated[Whole, within(1, 1000)] | None = Field(
-        default=None,
-        description="number of contacts; the run ends at the apex after the last (of the model that needs longer), or "
-        "half way to a contact before it",
-    )
-    steps_per_contact: StepsPerContact = Field(
-        default=50.0, description="steps per contact duration [-], the same meaning for every model"
-    )
-    dt: Step | None = Field(default=None, description="time step of all models [s]; none: from steps_per_contact")
-    record_every: Annotated[Whole, within(1, 1e6)] = Field(
-        default=1, description="steps between recorded frames during a contact"
-    )
-    coupling: Seconds | None = Field(
-        default=None,
-        description="coupling interval [s], rounded down to whole steps of each model; none: nothing is coupled",
-    )
-    gas_step: Seconds | None = Field(default=None, description="longest gas step [s]; none: one per coupling interval")
-    discard: Time | None = Field(default=None, description="start-up left out of averages [s]; none: detected")
-    frames_every: Seconds = Field(
-        default=0.01, description="time between recorded frames of particles and gas fields of a coupled run [s]"
-    )
-
-
-@checked_class
 class Scene:
     """A case: everything that a run needs to know, and nothing about the solver that will run it.
 
     ``name`` is also the folder's; a case file takes it from there. ``tolerances``: metric -> allowed relative
-    difference of linear against Hertz. ``needs``: the user's decisions against `kncal.scene.needs`.
+    difference of linear against Hertz. ``needs``: the user's decisions against `kncal.scene.needs`. ``folder``: where
+    the files lie that the case names; no part of its text.
     """
 
     name: Name
@@ -263,8 +153,10 @@ class Scene:
         min_length=1, max_length=MOST_SINGLE, description="at least one [particles.NAME]"
     )
     walls: dict[Name, AnyWall] = Field(default_factory=dict, max_length=MOST_WALLS, description="[walls.NAME]")
+    outlets: dict[Name, Outlet] = Field(default_factory=dict, max_length=MOST_OUTLETS, description="[outlets.NAME]")
+    domain: DomainBox | None = Field(default=None, description="[domain]; none: what walls and starts need")
     gravity: Acceleration = Field(default=AT_REST, description="[x, y, z] of gravity [m/s²]")
-    periodic: tuple[Axis, ...] = Field(default=(), description='axes in which a box is periodic: ["y"]')
+    periodic: tuple[Axis, ...] = Field(default=(), description='axes in which a box or the domain is periodic: ["y"]')
     layer: Axis | None = Field(
         default=None,
         description='"y": one layer of particles, held in its plane; no walls in front and at the back',
@@ -272,8 +164,10 @@ class Scene:
     gas: Gas | None = Field(default=None, description="[gas]; none: particles only")
     contact: ContactChoice = Field(default_factory=ContactChoice, description="[contact]")
     run: RunControl = Field(default_factory=RunControl, description="[run] with until_time or until_bounces")
+    observe: ObserveChoice = Field(default_factory=ObserveChoice, description="[observe]")
     tolerances: dict[Word, Tolerance] = Field(default_factory=dict, description="metric = allowed relative difference")
     needs: dict[Word, Flag] = Field(default_factory=dict, description="physics = true or false")
+    folder: Path | None = stdlib_field(default=None, compare=False, repr=False)
 
     @classmethod
     def of(cls, spheres: Iterable[Particle], planes: Iterable[Wall] = (), **rest: Any) -> Scene:
@@ -326,8 +220,13 @@ class Scene:
 
     @property
     def coupled(self) -> bool:
-        """Whether the run goes on in coupling intervals, with gas or without."""
-        return self.run.coupling is not None
+        """Whether the run goes on in intervals, with gas or without: many particles, of which averages are told."""
+        return self.interval is not None
+
+    @property
+    def interval(self) -> float | None:
+        """The interval that the case asks for [s]: of the coupling, or of the looks at a run without gas."""
+        return self.run.sample_every if self.run.coupling is None else self.run.coupling
 
     @property
     def front_back(self) -> Depth:
@@ -345,30 +244,71 @@ class Scene:
         return {name: Material(name=name, **vars(data)) for name, data in self.materials.items()}
 
     @cached_property
-    def spheres(self) -> tuple[Particle, ...]:
-        """Every particle, in the order of the case file; of a coupled scene one per group that stands for all of it."""
-        return tuple(sphere for name, group in self.particles.items() for sphere in self._of_group(name, group))
+    def classes(self) -> tuple[SizeClass, ...]:
+        """The particles of each group by size, in the order of the case file."""
+        return tuple(found for name, group in self.particles.items() for found in self._classes(name, group))
 
-    def _of_group(self, name: str, group: Particles) -> tuple[Particle, ...]:
-        centres = (AT_REST,) if self.coupled else group.centres
+    def _classes(self, name: str, group: Particles) -> list[SizeClass]:
+        given = len(group.centres)
+        if group.file is not None:
+            found, given = self.from_files[name].classes, len(self.from_files[name].kind)
+        elif group.sizes is None:
+            found = Classes(np.array([group.diameter or 0.0]), np.ones(1))
+        else:
+            found = classes(group.sizes, self.path_of, min([self.contact.e_n, *self._exceptional("e_n")]))
+        number = number_of(group, given, found.volume, self.materials[group.material].density)
+        several = len(found.diameters) > 1
+        return [
+            SizeClass(group=name, name=f"{name}.{i}" if several else name, diameter=float(d), number=int(n))
+            for i, (d, n) in enumerate(zip(found.diameters, counts(found.shares, number), strict=True), start=1)
+        ]
+
+    @cached_property
+    def from_files(self) -> Mapping[str, FromFile]:
+        """Particles that start where a file says, by the name of their group; `ReadError` if one cannot be read."""
+        e_n = min([self.contact.e_n, *self._exceptional("e_n")])
+        return {
+            name: from_file(self.path_of(group.file), group.diameter, e_n)
+            for name, group in self.particles.items()
+            if group.file is not None
+        }
+
+    def _exceptional(self, key: str) -> list[float]:
+        return [value for choice in self.contact.pairs if (value := getattr(choice, key)) is not None]
+
+    @cached_property
+    def spheres(self) -> tuple[Particle, ...]:
+        """Every particle, in the order of the case file; of a coupled scene one for each size of a group."""
+        if not self.coupled:
+            return tuple(sphere for name, group in self.particles.items() for sphere in self._of_group(name, group))
+        return tuple(self._sphere(c.name, c.group, c.diameter, AT_REST, self.particles[c.group]) for c in self.classes)
+
+    def _of_group(self, name: str, group: Particles) -> Iterator[Particle]:
+        several, diameter = len(group.centres) > 1, group.diameter or 0.0
+        for i, position in enumerate(group.centres, start=1):
+            yield self._sphere(f"{name}.{i}" if several else name, name, diameter, position, group)
+
+    def _sphere(self, name: str, of: str, diameter: float, position: Vector, group: Particles) -> Particle:
         if (material := self.material(group.material)) is None:
-            raise InputError(f"{self.name}: particles.{name}.material = {RIGID!r}: expected a material")
-        return tuple(
-            Particle(
-                name=name if len(centres) == 1 else f"{name}.{i}",
-                group=name,
-                material=material,
-                radius=group.diameter / 2.0,
-                position=position,
-                velocity=group.velocity,
-                spin=group.spin,
-            )
-            for i, position in enumerate(centres, start=1)
+            raise InputError(f"{self.name}: particles.{of}.material = {RIGID!r}: expected a material")
+        return Particle(
+            name=name,
+            group=of,
+            material=material,
+            radius=diameter / 2.0,
+            position=position,
+            velocity=group.velocity,
+            spin=group.spin,
         )
 
     @cached_property
     def planes(self) -> tuple[Wall, ...]:
-        """Every plane wall, in the order of the case file; a box stands as its floor."""
+        """Every plane wall, in the order of the case file; of a coupled scene a stand-in for each wall of any shape."""
+        if self.coupled:
+            return tuple(
+                Wall(name=name, axis="z", position=0.0, material=self.material(wall.material))
+                for name, wall in self.walls.items()
+            )
         return tuple(
             plane
             for name, wall in self.walls.items()
@@ -390,6 +330,58 @@ class Scene:
     def choice_for(self, a: Particle, b: Body) -> PairChoice | None:
         """Return the first exception of the case that names both bodies (or their group or materials), or None."""
         return self.contact.exception(a.names, b.names)
+
+    @property
+    def number(self) -> int:
+        """Number of particles, those included that a stream brings later."""
+        return sum(c.number for c in self.classes)
+
+    @property
+    def d_min(self) -> float:
+        """Smallest diameter [m]."""
+        return min(c.diameter for c in self.classes)
+
+    @property
+    def d_max(self) -> float:
+        """Largest diameter [m]."""
+        return max(c.diameter for c in self.classes)
+
+    @cached_property
+    def diameter(self) -> float:
+        """Sauter mean diameter of all particles [m]: that of each where all are equal."""
+        if self.d_min == self.d_max or not self.number:
+            return self.d_max
+        d, n = np.array([(c.diameter, c.number) for c in self.classes]).T
+        return float((n * d**3).sum() / (n * d**2).sum())
+
+    @property
+    def volume(self) -> float:
+        """Volume of all particles [m³]."""
+        return math.pi / 6.0 * sum(c.number * c.diameter**3 for c in self.classes)
+
+    @property
+    def mass(self) -> float:
+        """Mass of all particles [kg]."""
+        return sum(
+            c.number * math.pi / 6.0 * c.diameter**3 * self.materials[self.particles[c.group].material].density
+            for c in self.classes
+        )
+
+    @property
+    def density(self) -> float:
+        """Mean density of the particles of a coupled scene [kg/m³]."""
+        found = {self.materials[group.material].density for group in self.particles.values()}
+        return found.pop() if len(found) == 1 else self.mass / self.volume
+
+    @property
+    def frozen(self) -> bool:
+        """Whether no particle moves."""
+        return all(group.frozen for group in self.particles.values())
+
+    @property
+    def settles(self) -> bool:
+        """Whether particles settle before the run."""
+        return any(group.place == "settled" and group.count != 0 for group in self.particles.values())
 
     @property
     def group(self) -> Particles:
@@ -416,14 +408,45 @@ class Scene:
         return 0.0 if self.gas is None else self.gas.inlet_at(time)
 
     @property
-    def density(self) -> float:
-        """Density of the particles of a coupled scene [kg/m³]."""
-        return self.materials[self.group.material].density
+    def g(self) -> float:
+        """Size of gravity [m/s²]."""
+        return float(np.linalg.norm(self.gravity))
 
     @property
-    def g(self) -> float:
-        """Size of gravity [m/s²]; of a coupled scene it points downwards."""
-        return float(np.linalg.norm(self.gravity))
+    def up(self) -> Array:
+        """Unit vector against gravity; z without gravity."""
+        return np.array([0.0, 0.0, 1.0]) if not self.g else -np.array(self.gravity) / self.g
+
+    @cached_property
+    def extent(self) -> Bounds:
+        """Lower and upper corner of the box that is simulated [m]: the domain's, or what walls and starts need."""
+        domain = None if self.domain is None else (np.array(self.domain.low), np.array(self.domain.high))
+        things = [bounds_of(wall) for wall in self.walls.values()]
+        things += [group.bounds for group in self.particles.values()]
+        things += [outlet.bounds for outlet in self.outlets.values()]
+        return extent_of(domain, things, map(AXES.index, self.periodic), self.d_max)
+
+    @cached_property
+    def events(self) -> tuple[Event, ...]:
+        """What changes during the run, by time."""
+        return tuple(sorted(event for name, wall in self.walls.items() for event in events_of(name, wall)))
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """The files that the case names, each once."""
+        named = [wall.file for wall in self.walls.values() if isinstance(wall, MeshWall)]
+        for group in self.particles.values():
+            named += [group.file] if group.file else []
+            named += [group.sizes.sieve.file] if group.sizes and group.sizes.sieve else []
+        return tuple(sorted(set(named)))
+
+    def path_of(self, name: str) -> Path:
+        """Return where a file that the case names lies; `CaseFileError` if it is not in the folder of the case."""
+        home = (self.folder or Path()).resolve()
+        for path in (home / name, home / FILES / name):
+            if path.is_file() and home in path.resolve().parents:
+                return path
+        raise CaseFileError(f"{self.name}: no file {name!r} in the folder of the case, {home}")
 
 
 def _only(scene: str, what: str, found: list[_T]) -> _T:

@@ -77,7 +77,8 @@ def species_of(scene: Scene) -> SpeciesTable:
         names = body.names
         named = tuple((one in names, two in names) for one, two in (choice.between for choice in scene.contact.pairs))
         radius = body.radius if isinstance(body, Particle) else None
-        members.setdefault((isinstance(body, Wall), body.material, radius, named), []).append(body)
+        group = body.group if scene.coupled and isinstance(body, Particle) else ""  # to tell where each one is from
+        members.setdefault((isinstance(body, Wall), body.material, radius, named, group), []).append(body)
     return SpeciesTable(
         members=tuple(tuple(bodies) for bodies in members.values()),
         index={body.name: number for number, bodies in enumerate(members.values()) for body in bodies},

@@ -29,8 +29,8 @@ from kncal.core.scratch import scratch
 from kncal.engines.base import Engine
 from kncal.engines.registry import ENGINES, engine_for
 from kncal.runs.solving import plan_checked
-from kncal.scene.case_file import CASE, dump_case, load_case
-from kncal.scene.case_text import read_case
+from kncal.scene.case_file import CASE, copy_files, identity_text, load_case
+from kncal.scene.case_text import CaseText, read_case
 from kncal.scene.finding import Finding
 from kncal.scene.limits import check
 from kncal.scene.model import KINDS, Plan
@@ -127,7 +127,7 @@ class Settings:
 
 
 def physics_text(case_text: str) -> str:
-    """Return the text of a case file as `dump_case` writes it without title and source, on which no run depends."""
+    """Return a text as of `identity_text` without title and source, on which no run depends."""
     lines = case_text.split("\n")
     return "\n".join(line for i, line in enumerate(lines) if i > 1 or not line.startswith(("title = ", "source = ")))
 
@@ -146,8 +146,8 @@ def design(
     skip_bad: bool = False,
     progress: Callable[[int, int], None] | None = None,
     warn: OnWarnings | None = None,
-) -> tuple[Sweep, str]:
-    """Check every point as far as that is possible without a run; return the design, and the text of the case file.
+) -> tuple[Sweep, CaseText]:
+    """Check every point as far as that is possible without a run; return the design, and the case file.
 
     Points that are the same run become one. Nothing is written.
 
@@ -183,7 +183,7 @@ def design_points(
     skip_bad: bool = False,
     progress: Callable[[int, int], None] | None = None,
     warn: OnWarnings | None = None,
-) -> tuple[Sweep, str, list[str | None]]:
+) -> tuple[Sweep, CaseText, list[str | None]]:
     """Do as `design` does; return also the id of each point's run, None for a refused one. There may be no run at all.
 
     Raises
@@ -191,7 +191,7 @@ def design_points(
     CaseFileError
         As `design`, but not where ``skip_bad`` leaves nothing.
     """
-    text, name, _ = read_case(case)
+    text, name, _ = read = read_case(case)
     base = load_case(case)
     shared: dict[str, Any] = {"ranks": settings.ranks, "oversubscribe": settings.oversubscribe}
     engine = engine_for(base, settings.engine, settings.transport, **shared)
@@ -206,7 +206,7 @@ def design_points(
             try:
                 scene = load_case(case, overrides=values) if values else base
                 models = _checked(scene, settings, engine, draft)
-                written = dump_case(scene)
+                written = identity_text(scene)
             except KncalError as error:
                 # the values stand beside the message anyway
                 refused.append(Refused(values=values, message=str(error).partition("\n(with ")[0]))
@@ -238,7 +238,7 @@ def design_points(
             "refused": refused,
         }
     )
-    return sweep, text, ids
+    return sweep, read, ids
 
 
 def _refusal(refused: Sequence[Refused]) -> CaseFileError:
@@ -267,9 +267,10 @@ def _warnings(models: Sequence[Plan]) -> tuple[Finding, ...]:
     return tuple(found.values())
 
 
-def write_design(folder: Path, sweep: Sweep, case_text: str) -> None:
+def write_design(folder: Path, sweep: Sweep, case: CaseText) -> None:
     """Write the case and the design into a sweep's folder."""
-    write_text(folder / CASE, case_text)
+    write_text(folder / CASE, case.text)
+    copy_files(load_case(case.where), folder)
     write_json(folder / DESIGN, sweep.model_dump())
 
 
@@ -324,7 +325,7 @@ def scene_of(folder: Path, sweep: Sweep, run: str) -> Scene:
     if run not in sweep.runs:
         raise ReadError(f"{folder / DESIGN}: no run {run!r}")
     scene = load_case(folder / CASE, name=sweep.name, overrides=sweep.runs[run])
-    if identity(sweep, dump_case(scene)) != run:
+    if identity(sweep, identity_text(scene)) != run:
         raise ReadError(
             f"{folder / CASE}: changed since the sweep was made: it does not give run {run}; choose another --out"
         )
@@ -332,7 +333,7 @@ def scene_of(folder: Path, sweep: Sweep, run: str) -> Scene:
 
 
 def identity(sweep: Sweep, case_text: str) -> str:
-    """Return the id that a case file (as `dump_case` writes it) has in a sweep."""
+    """Return the id that a case file (its `identity_text`) has in a sweep."""
     return run_id(case_text, engine=sweep.engine, models=sweep.models, transport=sweep.transport, ranks=sweep.ranks)
 
 

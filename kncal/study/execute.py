@@ -16,7 +16,7 @@ from typing import Any, Protocol
 from kncal import __version__
 from kncal.core.awake import awake
 from kncal.core.errors import CaseFileError, InputError, KncalError, ReadError, RunError, SolverMissingError, failure_of
-from kncal.core.files import read_limited, sha256
+from kncal.core.files import sha256
 from kncal.core.lock import FolderInUseError
 from kncal.core.mpi import check_fit
 from kncal.core.stopping import check_stop, stoppable
@@ -25,7 +25,7 @@ from kncal.engines.registry import get_engine
 from kncal.runs.folder import read_result
 from kncal.runs.records import MANIFEST
 from kncal.runs.workflow import run_case
-from kncal.scene.case_file import CASE, MOST_BYTES
+from kncal.scene.case_file import kept_identity
 from kncal.scene.scene import Scene
 from kncal.study.design import Sweep, identity, read_design, run_folder, scene_of
 from kncal.study.states import UNREADABLE, read_quickly, read_state, stamps_of
@@ -172,7 +172,7 @@ def finished(sweep: Sweep, folder: Path, run: str, wanted: Mapping[str, Any]) ->
     if len(stamps_of(sweep, out)) < len(sweep.models):
         return False
     try:
-        if identity(sweep, read_limited(out / CASE, MOST_BYTES, "a case file").decode("utf-8")) != run:
+        if identity(sweep, kept_identity(out)) != run:
             return False
         if not all(_holds(wanted, read_quickly(f"{out}/{kind}/{MANIFEST}")) for kind in sweep.models):
             return False

@@ -20,6 +20,7 @@ from kncal.core.lock import LOCK, locked, sign
 from kncal.engines.base import Profile
 from kncal.engines.registry import get_engine
 from kncal.scene.case_file import CASE
+from kncal.scene.case_text import CaseText
 from kncal.study.design import DESIGN, RUNS, Sweep, is_design, read_design, run_folder, write_design
 from kncal.study.execute import Executor, Record, ThreadExecutor, ended, finished, present
 from kncal.study.states import StatesFile
@@ -76,7 +77,7 @@ OnProgress = Callable[[SweepProgress], None]
 
 def run_sweep(
     sweep: Sweep,
-    case_text: str,
+    case_text: CaseText,
     folder: Path,
     executor: Executor | None = None,
     on_progress: OnProgress | None = None,
@@ -121,7 +122,7 @@ def run_sweep(
         executor.close()
 
 
-def prepare_sweep(sweep: Sweep, case_text: str, folder: Path) -> list[str]:
+def prepare_sweep(sweep: Sweep, case_text: CaseText, folder: Path) -> list[str]:
     """Write a design into ``folder`` as `run_sweep` does, without running anything; return the ids left to be run.
 
     Raises

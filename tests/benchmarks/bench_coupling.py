@@ -142,7 +142,7 @@ def told_by_the_adapter(case: str) -> None:
     setup, scene = gas_setup(model), model.scene
     assert setup is not None
     x = settled(model)
-    pairs = [gas_pair(setup, x, scene.group.diameter, scene.density, 100) for _ in range(2 * ROUNDS)]
+    pairs = [gas_pair(setup, x, scene.diameter, scene.density, 100) for _ in range(2 * ROUNDS)]
     live, adapter, difference = (
         1e3 * statistics.median(values) for values in zip(*((a, b, a - c) for a, b, c in pairs), strict=True)
     )
@@ -226,7 +226,7 @@ def grown(nx: int, ny: int) -> None:
     a, b = nx / gas.cells[0], ny / gas.cells[1]
     cells = (nx, ny, gas.cells[2])
     scene = replace(small, gas=replace(gas, cells=cells)).with_box(size=(a * box.width, b * box.depth, box.height))
-    scene = scene.with_group(count=round(a * b * small.group.number), place="lattice")
+    scene = scene.with_group(count=round(a * b * small.number), place="lattice")
     model = replace(plan(scene, ("linear",))["linear"], couplings=12)
     watch = Watch()
     with tempfile.TemporaryDirectory() as scratch:
@@ -235,7 +235,7 @@ def grown(nx: int, ny: int) -> None:
         raise SystemExit(result.message)
     first, last = 2, model.couplings  # the first couplings start the gas
     cpu = {name: (watch.cpu[last][name] - watch.cpu[first][name]) / (last - first) for name in watch.cpu[last]}
-    told = {"count": scene.group.number, "cells": math.prod(cells), "cpu": cpu, "peak": watch.peak}
+    told = {"count": scene.number, "cells": math.prod(cells), "cpu": cpu, "peak": watch.peak}
     print(json.dumps(told))
 
 

@@ -22,7 +22,8 @@ from kncal.scene.bodies import Particle, Wall
 from kncal.scene.case_file import load_case
 from kncal.scene.model import Plan
 from kncal.scene.plan import plan
-from kncal.scene.scene import ContactChoice, RunControl, Scene
+from kncal.scene.run_control import RunControl
+from kncal.scene.scene import ContactChoice, Scene
 
 GLASS = Material(young=7e10, poisson=0.22, density=2500.0, name="glass")
 

@@ -110,13 +110,13 @@ def dem_pair(model: Plan, x: Array, rounds: int) -> DemPair:
         given = {
             "deck": DECK,
             "saved": "",
-            "diameter": scene.group.diameter,
+            "diameter": scene.diameter,
             "dt": model.dt,
             "gravity": scene.g,
             "plane": middle(scene) if layer else None,
             "period": scene.box.depth if periodic else None,
             "sides": sides(scene),
-            "count": scene.group.number,
+            "count": scene.number,
             "steps": model.steps_per_coupling,
         }
         (folder / "given.json").write_text(json.dumps(given))

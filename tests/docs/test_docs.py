@@ -124,9 +124,9 @@ def test_case_examples_load(page: Path) -> None:
 
 
 def test_there_are_complete_examples() -> None:
-    """A case of a few bodies and one of a bed; together they use every table that a case file may have, but a layer."""
-    single, bed = (tomllib.loads(text) for text in _complete(CASE_FILE))
-    assert set(single) | set(bed) == {field.name for field in fields(Scene)} - {"name", "layer"}
+    """A case of a few bodies, a bed and a hopper; together they use every table of a case file, but a layer."""
+    single, bed, hopper = (tomllib.loads(text) for text in _complete(CASE_FILE))
+    assert set(single) | set(bed) | set(hopper) == {field.name for field in fields(Scene)} - {"name", "folder", "layer"}
     assert single["contact"]["pairs"]
     assert bed["gas"]["jet"]
 

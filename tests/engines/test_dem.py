@@ -17,9 +17,10 @@ from kncal.core.checks import Array
 from kncal.core.errors import InputError, RenderError
 from kncal.engines.liggghts.deck import bed_deck, deck_text
 from kncal.engines.liggghts.library import LOG, LiggghtsDem
+from kncal.scene.groups import AT_REST
 from kncal.scene.model import KINDS, Plan
 from kncal.scene.placement import lattice
-from kncal.scene.scene import AT_REST, ContactChoice
+from kncal.scene.scene import ContactChoice
 
 solver = pytest.mark.solver
 ROUGH = ContactChoice(e_n=0.8, friction=0.3, rolling_friction=0.02)
@@ -33,7 +34,7 @@ NORMAL_LAW = {"kn", "kt", "gamman_abs", "gammat_abs", "youngsModulus", "poissons
 
 def stirring(given: Plan, intervals: int, seed: int = 0) -> Array:
     """Forces (intervals, n, 3) that keep a bed moving: 0.7 of the weight up, twice the weight at random."""
-    n, unit = given.scene.group.number, mass(given.scene) * G
+    n, unit = given.scene.number, mass(given.scene) * G
     return unit * np.random.default_rng(seed).normal([0.0, 0.0, 0.7], 2.0, (intervals, n, 3))
 
 

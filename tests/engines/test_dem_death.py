@@ -17,8 +17,8 @@ from beds import model, scene, still
 from kncal.core.errors import InputError, RunError
 from kncal.engines.liggghts import library as dem_module
 from kncal.engines.liggghts.library import LOG, LiggghtsDem
+from kncal.scene.groups import AT_REST
 from kncal.scene.placement import lattice
-from kncal.scene.scene import AT_REST
 
 solver = pytest.mark.solver
 

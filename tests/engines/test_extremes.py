@@ -29,7 +29,8 @@ from kncal.scene.finding import Finding
 from kncal.scene.limits import check, warnings_of
 from kncal.scene.model import Plan
 from kncal.scene.plan import plan
-from kncal.scene.scene import ContactChoice, RunControl, Scene
+from kncal.scene.run_control import RunControl
+from kncal.scene.scene import ContactChoice, Scene
 from kncal.study.stability.outcome import Outcome, judge
 from kncal.study.stability.probes import at_step, impact_of_cluster, ingredients, pressed
 
@@ -286,8 +287,8 @@ def test_hertz_with_more_damping_than_liggghts_has(tmp_path: Path) -> None:
 def bed(share: float) -> tuple[Finding, ...]:
     """What is said about a bed whose lowest particles overlap by this share of d, by weight over stiffness."""
     scene = load_case("bubbling_bed_mini")
-    d, box = scene.group.diameter, scene.box
-    layers = scene.group.number * d**2 / (box.width * box.depth)
+    d, box = scene.diameter, scene.box
+    layers = scene.number * d**2 / (box.width * box.depth)
     weight = 1000.0 * math.pi / 6.0 * d**3 * scene.g
     contact = replace(scene.contact, k_n=layers * weight / (share * d), v_0=1e-3)
     scene = replace(scene, contact=contact, run=replace(scene.run, steps_per_contact=50.0))

@@ -18,7 +18,7 @@ from kncal.engines.dpmfoam.case import write_case
 from kncal.engines.dpmfoam.restart import RestartGas
 from kncal.record.openfoam import read_cells
 from kncal.record.steps import GasStep
-from kncal.scene.scene import Jet
+from kncal.scene.gas import Jet
 
 pytestmark = columns.needs_openfoam
 NOBODY = np.zeros((0, 3))

@@ -15,7 +15,7 @@ from kncal.engines.dpmfoam.case import write_case
 from kncal.engines.dpmfoam.grid import Grid
 from kncal.engines.dpmfoam.programs import make_mesh
 from kncal.engines.dpmfoam.restart import RestartGas
-from kncal.scene.scene import Jet
+from kncal.scene.gas import Jet
 
 SETUPS = {
     "floor": columns.setup((3, 2, 4)),

@@ -14,7 +14,7 @@ from kncal.engines.dpmfoam.forces import Exchange, Parcels, satellite_offsets
 from kncal.engines.dpmfoam.grid import Grid
 from kncal.physics.drag import DRAGS
 from kncal.record.steps import GasStep
-from kncal.scene.scene import Jet
+from kncal.scene.gas import Jet
 
 
 @given(st.integers(1, 9), st.integers(1, 4), st.integers(1, 7), st.integers(0, 8), st.integers(1, 9), st.booleans())

@@ -17,7 +17,8 @@ from kncal.record.liggghts_dump import read_dump
 from kncal.scene.bodies import Particle, Wall
 from kncal.scene.model import KINDS, PairContact, Plan
 from kncal.scene.plan import plan
-from kncal.scene.scene import ContactChoice, PairChoice, RunControl, Scene
+from kncal.scene.run_control import RunControl
+from kncal.scene.scene import ContactChoice, PairChoice, Scene
 
 pytestmark = pytest.mark.solver
 

@@ -23,7 +23,7 @@ from kncal.engines.dpmfoam import adapter_build, memory
 from kncal.engines.dpmfoam.live import LiveGas
 from kncal.engines.dpmfoam.restart import RestartGas
 from kncal.record.steps import GasStep
-from kncal.scene.scene import Jet
+from kncal.scene.gas import Jet
 
 pytestmark = needs_openfoam
 

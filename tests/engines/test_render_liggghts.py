@@ -25,7 +25,8 @@ from kncal.physics.material import Material, pair
 from kncal.scene.bodies import Particle, Vector, Wall
 from kncal.scene.model import Plan
 from kncal.scene.plan import plan
-from kncal.scene.scene import ContactChoice, PairChoice, RunControl, Scene
+from kncal.scene.run_control import RunControl
+from kncal.scene.scene import ContactChoice, PairChoice, Scene
 
 GLASS = Material(young=5e7, poisson=0.25, density=2500.0, name="glass")
 STEEL = Material(young=2e11, poisson=0.3, density=7800.0, name="steel")

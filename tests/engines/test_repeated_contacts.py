@@ -8,7 +8,8 @@ from kncal.observe.contacts import observe
 from kncal.physics.material import Material
 from kncal.scene.bodies import Particle, Wall
 from kncal.scene.plan import plan
-from kncal.scene.scene import ContactChoice, RunControl, Scene
+from kncal.scene.run_control import RunControl
+from kncal.scene.scene import ContactChoice, Scene
 
 SOFT = Material(young=1e7, poisson=0.3, density=2500.0, name="soft")
 SHAKEN = Scene.of(

@@ -14,7 +14,8 @@ from kncal.engines.liggghts.batch import Liggghts
 from kncal.physics.material import Material
 from kncal.scene.bodies import Particle, Wall
 from kncal.scene.plan import plan
-from kncal.scene.scene import ContactChoice, PairChoice, RunControl, Scene
+from kncal.scene.run_control import RunControl
+from kncal.scene.scene import ContactChoice, PairChoice, Scene
 
 pytestmark = pytest.mark.solver
 

@@ -154,7 +154,7 @@ def test_fluctuation_and_overlap_share_are_those_of_the_signals():
     assert row.reference.value == pytest.approx(SPREAD * MEANS["p_in"], abs=2.0 * row.reference.width)
     # exponential overlaps: the share above a limit is exp(-limit/mean)
     row = found.row("overlap_share")
-    expected = math.exp(-0.01 * SCENE.group.diameter / MEANS["overlap_mean"])
+    expected = math.exp(-0.01 * SCENE.diameter / MEANS["overlap_mean"])
     assert row.reference.value == pytest.approx(expected, abs=2.0 * row.reference.width + 0.2 * expected)  # bins
 
 

@@ -21,7 +21,7 @@ from kncal.scene.model import PairContact
 from kncal.scene.plan import plan
 from kncal.scene.scene import ContactChoice
 
-D, RHO, G = SCENE.group.diameter, 1000.0, SCENE.g
+D, RHO, G = SCENE.diameter, 1000.0, SCENE.g
 MASS = RHO * math.pi / 6.0 * D**3
 
 

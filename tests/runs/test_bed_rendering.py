@@ -68,7 +68,7 @@ def test_a_rendered_bed_runs_by_hand(capsys, tmp_path):
     model = plan(small(), ("linear",))["linear"]
     steps = 100
     fall = 0.5 * 9.81 * (steps * model.dt) ** 2
-    assert fall < 0.04 * model.scene.group.diameter  # the least gap of the lattice
+    assert fall < 0.04 * model.scene.diameter  # the least gap of the lattice
     done = subprocess.run(["./Allrun", str(steps)], cwd=out / "linear", capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     start = positions((out / "linear/particles/particles.data").read_text())
@@ -76,7 +76,7 @@ def test_a_rendered_bed_runs_by_hand(capsys, tmp_path):
     dump = (out / "linear/particles/settled.dump").read_text().splitlines()
     rows = np.array([[float(word) for word in line.split()] for line in dump[9:]])
     end = rows[np.argsort(rows[:, 0])][:, 2:5]
-    free = start[:, 2] - 0.5 * model.scene.group.diameter > 1.1 * fall  # the others touch the floor
+    free = start[:, 2] - 0.5 * model.scene.diameter > 1.1 * fall  # the others touch the floor
     assert free.sum() > 0.9 * COUNT
     # the dump prints six digits of coordinates up to 0.03 m, at most 5e-8 m off
     np.testing.assert_allclose((end - start)[free], np.tile([0.0, 0.0, -fall], (free.sum(), 1)), atol=5.1e-8)

@@ -13,12 +13,14 @@ from shipped import BEDS
 
 from kncal.core.errors import CaseFileError, InputError
 from kncal.core.shipped import folder
-from kncal.scene.case_checks import _too_close
+from kncal.scene.box_checks import _too_close
 from kncal.scene.case_file import dump_case, load_case, parse_case
+from kncal.scene.gas import Gas, Jet
 from kncal.scene.metrics import COUPLED, offered
 from kncal.scene.needs import decide
 from kncal.scene.placement import PLACEMENTS
-from kncal.scene.scene import PARCELS, Gas, Jet, RunControl
+from kncal.scene.run_control import RunControl
+from kncal.scene.scene import PARCELS
 
 GOOD = """\
 title = "a bed"
@@ -73,7 +75,7 @@ def test_what_is_said_comes_through():
     assert (bed.box.width, bed.box.depth, bed.box.height) == (0.03, 0.006, 0.09)
     assert [body.name for body in bed.bodies] == ["beads", "column"]
     assert bed.planes[0].material is bed.spheres[0].material
-    assert (bed.group.number, bed.group.place, bed.group.frozen) == (300, "settled", False)
+    assert (bed.number, bed.group.place, bed.frozen) == (300, "settled", False)
     assert bed.gas == Gas(cells=(10, 2, 30), density=1.2, viscosity=1.8e-5, U_0=0.8)
     assert bed.contact.pairs[0].between == ("beads", "column")
     assert (bed.run.until_time, bed.run.coupling, bed.run.discard) == (0.5, 5e-4, None)

@@ -41,7 +41,7 @@ def held_drag(scene: Scene, couplings: int, dt: float) -> float:
     v = 0.0
     for _ in range(couplings):
         slip = gas.U_0 - v
-        tau = float(relaxation_time(density, scene.group.diameter, gas.density, gas.viscosity, slip=abs(slip)))
+        tau = float(relaxation_time(density, scene.diameter, gas.density, gas.viscosity, slip=abs(slip)))
         v += dt * (slip / (tau + dt) - scene.g * (1.0 - gas.density / density))
     return v
 

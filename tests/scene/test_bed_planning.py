@@ -53,7 +53,7 @@ def test_every_shipped_bed_can_be_planned(name):
 
 
 def test_the_numbers_are_those_of_the_calibration():
-    material, radius = MINI.spheres[0].material, MINI.group.diameter / 2.0
+    material, radius = MINI.spheres[0].material, MINI.diameter / 2.0
     models = plan(MINI)
     for names, both in zip(PAIRS, (pair(material, radius), wall_pair(material, radius, material)), strict=True):
         c = calibrate(both, v_0=0.2, e_n=0.9)
@@ -113,7 +113,7 @@ def test_prescribed_stiffness_without_speed_takes_the_resting_hertz_contact():
     assert linear.t_c == pytest.approx(float(contact_time(100.0, linear.m_eff, 0.9)), rel=1e-12)
     assert hertz.v_0 is hertz.delta_max is None
     # half a period about the overlap that the weight above presses together: stiffer under a deeper bed
-    deep = bed.with_group(count=2 * bed.group.number)
+    deep = bed.with_group(count=2 * bed.number)
     deeper = plan(deep)["hertz"].between("beads", "beads")
     assert hertz.t_c / deeper.t_c == pytest.approx(2.0 ** (1.0 / 6.0), rel=1e-12)
     with pytest.raises(CaseFileError, match=r"no gravity between 'beads' and 'beads'"):

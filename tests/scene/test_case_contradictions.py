@@ -10,7 +10,8 @@ from kncal.core.errors import CaseFileError, InputError
 from kncal.physics.material import Material
 from kncal.scene.bodies import Particle, Wall
 from kncal.scene.case_file import MOST_BYTES, dump_case, parse_case
-from kncal.scene.scene import RunControl, Scene
+from kncal.scene.run_control import RunControl
+from kncal.scene.scene import Scene
 
 ROW = """\
 [materials.glass]
@@ -72,7 +73,7 @@ def changed(text: str, old: str, new: str) -> str:
 
 def test_the_samples_are_good() -> None:
     assert len(parse_case(ROW, name="row").spheres) == 2
-    assert parse_case(BED, name="bed").group.number == 2
+    assert parse_case(BED, name="bed").number == 2
 
 
 @pytest.mark.parametrize("header", ['[particles."row.1"]', '[walls."row.2"]', '[materials."row.1"]'])

@@ -11,10 +11,11 @@ from kncal.core.errors import CaseFileError
 from kncal.physics.fluidization import minimum_fluidization_velocity, terminal_velocity
 from kncal.scene.case_file import load_case
 from kncal.scene.finding import Finding, require_possible
+from kncal.scene.gas import Jet
 from kncal.scene.limits import check, findings_of
 from kncal.scene.load import EPS_SETTLED, largest_superficial, settled_height, settled_voidage
 from kncal.scene.plan import plan
-from kncal.scene.scene import Jet, Scene
+from kncal.scene.scene import Scene
 
 MINI = load_case("bubbling_bed_mini")
 JET = load_case("bubbling_bed")
@@ -259,13 +260,13 @@ def test_gas_or_particles_alone():
 
 def lattice(bed: Scene, pitch: float) -> np.ndarray:
     """A simple cubic lattice from wall to wall, layer by layer."""
-    d = bed.group.diameter
+    d = bed.diameter
     nx, ny = round(bed.box.width / (pitch * d)), round(bed.box.depth / (pitch * d))
-    n = math.ceil(bed.group.number / (nx * ny))
+    n = math.ceil(bed.number / (nx * ny))
     x = (np.arange(nx) + 0.5) * bed.box.width / nx
     y = (np.arange(ny) + 0.5) * bed.box.depth / ny
     z = (np.arange(n) + 0.5) * pitch * d
-    return np.array([(a, b, c) for c in z for a in x for b in y])[: bed.group.number]
+    return np.array([(a, b, c) for c in z for a in x for b in y])[: bed.number]
 
 
 @pytest.mark.parametrize("pitch", [1.0, 1.25])

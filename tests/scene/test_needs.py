@@ -17,7 +17,8 @@ from kncal.core.errors import InputError
 from kncal.physics.material import Material
 from kncal.scene.bodies import Particle, Vector, Wall
 from kncal.scene.needs import OVERRULABLE, PHYSICS, decide
-from kncal.scene.scene import ContactChoice, PairChoice, RunControl, Scene
+from kncal.scene.run_control import RunControl
+from kncal.scene.scene import ContactChoice, PairChoice, Scene
 
 GLASS = Material(name="glass", young=70e9, poisson=0.22, density=2500.0)
 FLOOR = Wall(name="floor", axis="z", position=0.0)

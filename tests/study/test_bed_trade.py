@@ -195,7 +195,7 @@ def test_a_stiff_bed_at_rest_is_settled_by_a_softer_spring():
         scene = replace(scene, materials={"soft": replace(scene.materials["soft"], young=young)})
         scene = scene.with_group(settle_k_n=settling_spring(scene))
         model = plan(to_settle(scene), ("linear",))["linear"]
-        return bottom_overlaps(model)[0, 0] / scene.group.diameter
+        return bottom_overlaps(model)[0, 0] / scene.diameter
 
     assert overlap(7e10) == pytest.approx(START_OVERLAP)
     assert overlap(5e5) > START_OVERLAP / STIFF
@@ -210,7 +210,7 @@ def test_all_candidates_settle_alike_however_many_particles_there_are(tmp_path, 
 
     scene = load_case("packed_bed")
     width, depth, height = scene.box.size
-    scene = scene.with_box(size=(width, depth, height * max(count / scene.group.number, 1.0)))
+    scene = scene.with_box(size=(width, depth, height * max(count / scene.number, 1.0)))
     scene = scene.with_group(count=count, place="settled", frozen=False)
     case = written(replace(scene, gas=None), tmp_path)
     path, _ = shared_case(load_case(case), tmp_path / "trade")
@@ -219,7 +219,7 @@ def test_all_candidates_settle_alike_however_many_particles_there_are(tmp_path, 
     for contact in (top, *tried):
         for steps in (10.0, 50.0):
             bed_scene = load_case(path, overrides=contact.at(steps).variant.overrides)
-            assert bed_scene.group.number == count
+            assert bed_scene.number == count
             keys.add(_key(plan(to_settle(bed_scene), ("linear",))["linear"], np.zeros((1, 3))))
     assert len(keys) == 1
 

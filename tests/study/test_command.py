@@ -98,9 +98,9 @@ def test_a_reduced_bed_has_the_same_particles_cells_and_gas(name: str) -> None:
     for axis in range(3):
         edges = [s.box.size[axis] / s.gas.cells[axis] for s in (scene, small)]
         assert edges[1] == pytest.approx(edges[0], rel=1e-12)
-    assert small.group.number <= 600
+    assert small.number <= 600
     assert small.run.until_time <= 0.05
-    assert (small.group.diameter, small.contact) == (scene.group.diameter, scene.contact)
+    assert (small.diameter, small.contact) == (scene.diameter, scene.contact)
     assert small.box.height > 2.0 * settled_height(small)
 
 

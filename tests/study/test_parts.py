@@ -66,9 +66,9 @@ def test_one_layer_has_as_many_particles_per_floor_area(tmp_path: Path) -> None:
     (part,) = parts_of(scene, "linear", ["depth"])
     layer = changed(scene, part, tmp_path)
     assert (layer.front_back, layer.gas.cells[1]) == ("layer", 1)
-    per_area = [s.group.number / (s.box.width * s.box.depth) for s in (scene, layer)]
+    per_area = [s.number / (s.box.width * s.box.depth) for s in (scene, layer)]
     # to the nearest whole particle
-    assert per_area[1] == pytest.approx(per_area[0], rel=0.5 / layer.group.number)
+    assert per_area[1] == pytest.approx(per_area[0], rel=0.5 / layer.number)
     assert parts_of(layer, "linear", ["depth"])[0].why_not
 
 

@@ -163,9 +163,9 @@ def bed_deck(model: Plan, positions: Array | None = None, velocities: Array | No
     RenderError
         If LIGGGHTS would accept a number but not simulate it.
     """
-    scene, box, particles = model.scene, model.scene.box, model.scene.group
+    scene, box = model.scene, model.scene.box
     check_bed(model)
-    d = particles.diameter
+    d = scene.diameter
     places = [("floor", "z", 0.0), ("lid", "z", box.height), ("left", "x", 0.0), ("right", "x", box.width)]
     places += [("front", "y", 0.0), ("back", "y", box.depth)] if scene.front_back == "walls" else []
     periodic = "y" if scene.front_back == "periodic" else ""
@@ -189,16 +189,15 @@ def bed_deck(model: Plan, positions: Array | None = None, velocities: Array | No
         gravity=(0.0, 0.0, -scene.g),
         dt=model.dt,
         start=start,
-        count=particles.number,
+        count=scene.number,
         skin=SKIN * d,
         bin_size=_bin_size(scene),
     )
 
 
 def _bin_size(scene: Scene) -> float:
-    particles = scene.group
-    own = 0.5 * (1.0 + SKIN) * particles.diameter
-    needed = float((scene.box.volume / (BINS_PER_PARTICLE * max(particles.number, 1))) ** (1.0 / 3.0))
+    own = 0.5 * (1.0 + SKIN) * scene.diameter
+    needed = float((scene.box.volume / (BINS_PER_PARTICLE * max(scene.number, 1))) ** (1.0 / 3.0))
     return needed if needed > own else 0.0
 
 

@@ -55,7 +55,7 @@ def check_model(model: Plan) -> None:
 
 def check_bed(model: Plan) -> None:
     """Refuse what LIGGGHTS would run without a word: numbers of the bed, a missing contact, a thin periodic column."""
-    scene, box, d = model.scene, model.scene.box, model.scene.group.diameter
+    scene, box, d = model.scene, model.scene.box, model.scene.diameter
     name, gravity = scene.name, scene.g
     expect(math.isfinite(d) and d > 0.0, name, f"diameter = {d!r} m", "a finite diameter > 0")
     expect(math.isfinite(gravity) and gravity >= 0.0, name, f"gravity = {gravity!r} m/s²", "a finite value >= 0")

@@ -81,9 +81,9 @@ class LiggghtsDem:
         pass_fds: Sequence[int] = (),
     ) -> None:
         scene = model.scene
-        self.histogram_edges = histogram_edges(scene.group.diameter)
+        self.histogram_edges = histogram_edges(scene.diameter)
         self.impact_edges = speed_edges()
-        self._count = scene.group.number
+        self._count = scene.number
         self._plane = middle(scene) if scene.layer else None
         self._folder = folder
         self._step = 0
@@ -102,7 +102,7 @@ class LiggghtsDem:
         arguments = {
             "count": self._count,
             "deck": DECK,
-            "diameter": scene.group.diameter,
+            "diameter": scene.diameter,
             "dt": model.dt,
             "gravity": scene.g,
             "plane": self._plane,

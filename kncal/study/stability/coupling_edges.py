@@ -16,11 +16,10 @@ from typing import Any
 import numpy as np
 
 from kncal.core.errors import ReadError
-from kncal.core.files import write_text
 from kncal.engines.settle import start_positions
 from kncal.physics.fluidization import relaxation_time
 from kncal.record.series import PIECES, read_series
-from kncal.scene.case_file import CASE, dump_case, load_case
+from kncal.scene.case_file import CASE, load_case, write_case
 from kncal.scene.limits import check
 from kncal.scene.load import EPS_SETTLED, largest_superficial, settled_height
 from kncal.scene.plan import plan
@@ -108,9 +107,9 @@ def reduced(scene: Scene) -> Scene:
     edges = [size / n for size, n in zip(scene.box.size, gas.cells, strict=True)]
     across = min(CELLS[0], gas.cells[0])
     deep = gas.cells[1] if scene.layer else min(CELLS[1], gas.cells[1])
-    small = scene.with_group(
-        count=min(COUNT, scene.group.number), place="settled", position=None, positions=()
-    ).with_box(size=(across * edges[0], deep * edges[1], scene.box.height))
+    small = scene.with_group(count=min(COUNT, scene.number), place="settled", position=None, positions=()).with_box(
+        size=(across * edges[0], deep * edges[1], scene.box.height)
+    )
     layers = max(math.ceil(2.5 * settled_height(small) / edges[2]), 6)
     return replace(
         small.with_box(size=(*small.box.size[:2], layers * edges[2])),
@@ -136,7 +135,7 @@ def bed_edges(
         If the packing of the reduced bed fails; `SolverMissingError`, `InterruptedRunError` if a run could not start or
         was stopped. Other failures are what is looked for.
     """
-    if scene.gas is None or scene.group.frozen or scene.group.number < 2 or scene.g == 0.0:
+    if scene.gas is None or scene.frozen or scene.number < 2 or scene.g == 0.0:
         return []
     small = reduced(scene)
     # all runs start from one packing, whatever changes
@@ -144,7 +143,7 @@ def bed_edges(
     small = small.with_group(place="given", count=None, settle_k_n=None, positions=positions)
     case = folder / small.name / CASE
     case.parent.mkdir(parents=True, exist_ok=True)
-    write_text(case, dump_case(small))
+    write_case(small, case)
     scans = _scans(small, quick=quick)
     ended = _run(case, [step.variant for scan in scans for step in scan.steps], folder / "runs", transport, tell)
     return [_edge(case, scan, ended) for scan in scans]
@@ -174,7 +173,7 @@ _By = Callable[[float], Changes]
 
 
 def _scans(scene: Scene, *, quick: bool) -> list[_Scan]:
-    gas, box, d = scene.gas, scene.box, scene.group.diameter
+    gas, box, d = scene.gas, scene.box, scene.diameter
     assert gas is not None  # noqa: S101  # `bed_edges` sees to it
     speed = largest_superficial(scene) / EPS_SETTLED
     h = box.height / gas.cells[2]

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kncal.core.errors import KncalError, RunError
-from kncal.core.files import write_text
 from kncal.engines.builtin.integrator import integrate
 from kncal.runs.workflow import load
-from kncal.scene.case_file import dump_case
+from kncal.scene.case_file import write_case
 from kncal.study import Variant, run_variants
 from kncal.study.stability.limits import advised_limit, arrangement_limit, impact_limit
 from kncal.study.stability.outcome import REFUSED, Outcome, judge, outcome_of_error, outcome_of_failure
@@ -104,7 +103,7 @@ def liggghts_runner(folder: Path, workers: int | None = None) -> Runner:
         there = folder / f"{probe.name}-e{probe.e_n:g}"
         there.mkdir(parents=True, exist_ok=True)
         case = there / "case.toml"
-        write_text(case, dump_case(probe.scene))
+        write_case(probe.scene, case)
         variants = [
             Variant(
                 name=f"dt-{i}",

@@ -23,7 +23,8 @@ from kncal.physics.material import Material
 from kncal.scene.bodies import AXES, Axis, Particle, Vector, Wall
 from kncal.scene.model import PairContact, Plan
 from kncal.scene.plan import first_impact_speed, plan
-from kncal.scene.scene import ContactChoice, PairChoice, RunControl, Scene
+from kncal.scene.run_control import RunControl
+from kncal.scene.scene import ContactChoice, PairChoice, Scene
 
 #: Overlap of a pressed cluster over the diameter. Small, since squeezed spheres without friction buckle sideways, at
 #: sqrt(overlap/d) of the frequency of the springs; the stiffness of a linear contact does not care.
@@ -84,7 +85,7 @@ def ingredients(case: Scene) -> Ingredients:
     InputError
         If the case has no impact speed, neither given nor from its own motion.
     """
-    if case.coupled and not case.group.number:
+    if case.coupled and not case.number:
         raise InputError(f"{case.name}: a bed without particles has no contacts: expected some particles")
     spheres, planes = case.spheres, case.planes
     material, radius = spheres[0].material, spheres[0].radius

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from kncal.core.errors import CaseFileError, InputError, KncalError
-from kncal.core.files import write_text
 from kncal.physics.methods import METHODS
-from kncal.scene.case_file import CASE, dump_case, load_case
+from kncal.scene.case_file import CASE, load_case, write_case
 from kncal.scene.case_text import parse_toml, read_case, toml_key
 from kncal.scene.load import bottom_overlaps, fluidised
 from kncal.scene.model import Plan
@@ -184,7 +183,7 @@ def _stiffness(found: Plan) -> float:
 def shared_case(scene: Scene, folder: Path) -> tuple[Path, tuple[str, ...]]:
     """Write the case that all candidates are variants of, from one start; return it, and what to know about it."""
     notes: tuple[str, ...] = ()
-    if scene.group.place == "settled" and scene.group.number:
+    if scene.group.place == "settled" and scene.number:
         if fluidised(scene):
             scene = scene.with_group(place="lattice", settle_k_n=None)
             notes = (
@@ -197,7 +196,7 @@ def shared_case(scene: Scene, folder: Path) -> tuple[Path, tuple[str, ...]]:
             notes = (f"All runs start from one packing, settled with k_n = {k_n:.3g} N/m.",)
     path = folder / "start" / scene.name / CASE
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_text(path, dump_case(scene))
+    write_case(scene, path)
     return path, notes
 
 
@@ -206,5 +205,5 @@ def settling_spring(scene: Scene) -> float:
     model = plan(scene, ("linear",))["linear"]
     own = model.contacts[0, 0].k
     overlap = bottom_overlaps(model).get((0, 0), 0.0)
-    wanted = START_OVERLAP * scene.group.diameter
+    wanted = START_OVERLAP * scene.diameter
     return own if overlap <= 0.0 or wanted < STIFF * overlap else own * overlap / wanted

@@ -16,7 +16,7 @@ from pathlib import Path
 from kncal.core.errors import InputError
 from kncal.core.files import write_csv, write_json, write_text
 from kncal.observe.verdict import Verdict
-from kncal.scene.case_file import CASE, dump_case, load_case
+from kncal.scene.case_file import CASE, copy_files, dump_case, load_case, write_case
 from kncal.scene.scene import Scene
 from kncal.study.folders import refuse_other
 from kncal.study.trade.answer import answer, describe, to_dict, to_frame
@@ -116,7 +116,7 @@ def _written(scene: Scene, out: Path, options: TradeOptions, tell: Tell) -> tupl
     engine, transport = options.engine, options.transport
     found = resolve_measured(scene, where / "speed", engine=engine, transport=transport, tell=tell)
     where.mkdir(parents=True, exist_ok=True)
-    write_text(where / CASE, dump_case(found))
+    write_case(found, where / CASE)
     return where, found
 
 
@@ -152,6 +152,7 @@ def write_trade(case: str | Path, trade: Trade, out: Path) -> TradeResult:
         chosen.unlink(missing_ok=True)  # an earlier trade's would be taken for this one's
     else:
         write_text(chosen, chosen_case(case, conclusion.chosen))
+        copy_files(load_case(case), out)
     page = write_trade_report(trade, conclusion, found, out / "report")
     return TradeResult(
         trade=trade,

@@ -122,11 +122,11 @@ def _depth(scene: Scene, _: str) -> Iterator[Part]:
         why = f"LIGGGHTS computes in three dimensions always; {decide(scene).dimensions_reason}"
         yield _not("depth", "third dimension", why)
         return
-    text, box, group, d = "depth of the bed", scene.box, scene.group, scene.group.diameter
-    count = round(group.number * d / box.depth)
+    text, box, group, d = "depth of the bed", scene.box, scene.group, scene.diameter
+    count = round(scene.number * d / box.depth)
     why_not = {
         "the bed is one layer of particles already": scene.layer is not None,
-        "fewer than two particles": group.number < 2,
+        "fewer than two particles": scene.number < 2,
         "the positions of the particles are given, in three dimensions": group.place == "given",
         "the bed is hardly deeper than a particle": count < 2 or box.depth < 1.5 * d,
     }
@@ -148,7 +148,7 @@ def _depth(scene: Scene, _: str) -> Iterator[Part]:
 def _gas(scene: Scene, _: str) -> Iterator[Part]:
     if why := _no_gas(scene):
         yield _not("gas", "gas", why)
-    elif not scene.group.number or scene.group.frozen:
+    elif not scene.number or scene.frozen:
         yield _not("gas", "gas", "nothing else moves")
     else:
         step = {"run.gas_step": None} if scene.run.gas_step is not None else {}
@@ -162,7 +162,7 @@ def _no_gas(scene: Scene) -> str:
 
 def _no_force(scene: Scene) -> str:
     """Why a scene has no force of the gas on particles; empty if it has."""
-    return _no_gas(scene) or ("" if scene.group.number else "there are no particles")
+    return _no_gas(scene) or ("" if scene.number else "there are no particles")
 
 
 def _drag(scene: Scene, _: str) -> Iterator[Part]:

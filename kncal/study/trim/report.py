@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from kncal.core.files import write_csv, write_json, write_text
+from kncal.core.files import write_csv, write_json
 from kncal.core.units import quantity
 from kncal.observe.row import Row, allowed
 from kncal.report.page import Page, Section, Table, report_folder, write_page
-from kncal.scene.case_file import CASE, dump_case
+from kncal.scene.case_file import CASE, dump_case, write_case
 from kncal.study.trim.figures import draw_figures
 from kncal.study.trim.judgement import change_text
 from kncal.study.trim.trim import DOES_NOT_APPLY, RECORD, CostChange, PartResult, Trim
@@ -33,8 +33,7 @@ def write_trim(found: Trim, out: Path) -> Path:
         # first, since it says whose folder this is
         write_json(out / RECORD, found.to_dict())
         figures = draw_figures(found, drawn)
-    trimmed = dump_case(found.trimmed)
-    write_text(out / CASE, trimmed)
+    write_case(found.trimmed, out / CASE)
     rows = csv_rows(found)
     write_csv(out / CSV, pd.DataFrame(rows, columns=list(CSV_UNITS)), CSV_UNITS)
     tried = [r for r in found.results if r.verdict != DOES_NOT_APPLY]
@@ -61,7 +60,7 @@ def write_trim(found: Trim, out: Path) -> Path:
             Section(
                 title="The trimmed case",
                 text=(f"Run it with --model {found.trimmed_model}, or compare both models.",),
-                code=trimmed,
+                code=dump_case(found.trimmed),
                 folded=True,
             ),
             Section(

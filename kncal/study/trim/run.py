@@ -15,13 +15,12 @@ from typing import Any
 
 from kncal.core.checks import in_range, one_of
 from kncal.core.errors import CaseFileError, InputError, RunError
-from kncal.core.files import write_text
 from kncal.observe.difference import FIELDS, PATHS
 from kncal.observe.row import Row
 from kncal.observe.run_data import RunData
 from kncal.observe.verdict import Verdict
 from kncal.runs.measure_speed import resolve_measured
-from kncal.scene.case_file import dump_case, load_case
+from kncal.scene.case_file import load_case, write_case
 from kncal.scene.model import KINDS
 from kncal.scene.scene import Scene
 from kncal.study import Variant, VariantRun, run_variants
@@ -113,7 +112,7 @@ def trim(
     )
     parts = parts_of(scene, options.model, options.parts)
     out.mkdir(parents=True, exist_ok=True)
-    write_text(path, dump_case(scene))
+    write_case(scene, path)
     study = _Study(path, scene, out / RUNS, options, on_progress)
     study.run([_variant(part, options.model) for part in parts if not part.why_not])
     return _together(study, [study.result(part) for part in parts], tell)

@@ -1,0 +1,103 @@
+"""What the values of a scene of many particles without gas must satisfy together; see `kncal.scene.case_checks`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from kncal.core.errors import CaseFileError, InputError, ReadError
+from kncal.scene.bodies import AXES
+from kncal.scene.groups import MOST_PARTICLES, Particles
+from kncal.scene.problem import Path, Problem
+from kncal.scene.scene import Scene
+from kncal.scene.walls import WALLS, BoxWall
+
+
+def granular(scene: Scene) -> Iterator[Problem]:
+    """Yield what is wrong with a scene that goes on in intervals, without gas."""
+    for key in ("gas", "layer"):
+        if getattr(scene, key):
+            yield (key,), f"{key}: has no meaning with run.sample_every: expected run.coupling with it"
+    for name, group in scene.particles.items():
+        yield from _group(scene, ("particles", name), group)
+    for name, wall in scene.walls.items():
+        yield from ((("walls", name, *path), text) for path, text in WALLS[wall.shape].problems(wall))
+    yield from _domain(scene)
+
+
+def _group(scene: Scene, path: Path, group: Particles) -> Iterator[Problem]:
+    if group.file is None and (group.diameter is None) == (group.sizes is None):
+        found = "both are given" if group.sizes else "neither is given"
+        yield (*path, "diameter"), f"{found}: expected either a diameter or sizes"
+    if group.frozen:
+        yield (*path, "frozen"), "true, and no gas: expected particles that move; for a fixed body a wall"
+    numbers = [key for key in ("count", "mass", "fill") if getattr(group, key) is not None]
+    if group.place == "given":
+        if bool(group.centres) == (group.file is not None):
+            yield path, 'position: expected one of position, positions and file with place = "given"'
+        if numbers and not (numbers == ["count"] and group.count == len(group.centres)):
+            yield (*path, numbers[0]), f"{numbers[0]}: given together with where each particle is: leave it out"
+    else:
+        for key in ("file", "position", "positions"):
+            if getattr(group, key):
+                yield (*path, key), f'given together with place = "{group.place}": expected place = "given"'
+        if len(numbers) != 1:
+            yield path, f"{' and '.join(numbers) or 'none'} given: expected one of count, mass and fill"
+        yield from _placed(scene, path, group)
+    yield from _by_place(scene, path, group)
+
+
+def _by_place(scene: Scene, path: Path, group: Particles) -> Iterator[Problem]:
+    """Yield what belongs to another way of placing."""
+    for key, place in (("rate", "stream"), ("start", "stream"), ("settle_k_n", "settled")):
+        if group.place != place and getattr(group, key):
+            yield (*path, key), f'given together with place = "{group.place}": expected "{place}"'
+    if group.place == "stream" and group.rate is None:
+        yield (*path, "rate"), "missing: expected the mass per time of the stream [kg/s]"
+    if group.place == "settled" and not scene.g:
+        yield ("gravity",), 'gravity: 0: nothing settles: expected gravity, or place = "lattice" or "given"'
+
+
+def _placed(scene: Scene, path: Path, group: Particles) -> Iterator[Problem]:
+    """Yield what lacks for a group to be put into its region."""
+    boxes = [wall for wall in scene.walls.values() if isinstance(wall, BoxWall)]
+    if group.region is None and len(boxes) != 1:
+        yield (*path, "region"), 'missing: expected [particles.NAME.region], or one wall of shape "box" to be put into'
+    if group.fill is not None and group.region is None:
+        yield (*path, "fill"), "given without region: expected the region whose volume it is a share of"
+    if group.region is not None:
+        low, high = group.region.bounds
+        if not (low < high).all():
+            yield (
+                (*path, "region"),
+                f"region: from {low.tolist()} to {high.tolist()}: expected every high above its low",
+            )
+
+
+def _domain(scene: Scene) -> Iterator[Problem]:
+    """Yield periods that nothing tells, sizes that cannot be read, and a domain that is none."""
+    if scene.domain is not None and not (np.array(scene.domain.low) < np.array(scene.domain.high)).all():
+        yield ("domain", "high"), f"high = {list(scene.domain.high)}: expected above low = {list(scene.domain.low)}"
+    boxes = [wall for wall in scene.walls.values() if isinstance(wall, BoxWall)]
+    if scene.periodic and scene.domain is None and len(boxes) != 1:
+        yield ("periodic",), 'given without a domain: expected [domain] with low and high, or one wall of shape "box"'
+    if len(set(scene.periodic)) < len(scene.periodic):
+        yield ("periodic",), f"periodic = {list(scene.periodic)}: expected each axis once"
+    try:
+        classes = scene.classes
+    except (ReadError, CaseFileError, InputError) as error:
+        yield ("particles",), str(error)
+        return
+    if (number := scene.number) < 1:
+        yield ("particles",), "no particles: expected at least one"
+    elif number > MOST_PARTICLES:
+        yield ("particles",), f"{number} particles: expected at most {MOST_PARTICLES}"
+    for axis in map(AXES.index, scene.periodic):
+        low, high = scene.extent
+        if classes and high[axis] - low[axis] < 3.0 * scene.d_max:
+            yield (
+                ("periodic",),
+                f"{AXES[axis]} is periodic over {high[axis] - low[axis]:g} m, less than three diameters: a particle "
+                "would meet its own images: expected a longer period",
+            )
