@@ -58,7 +58,15 @@ def deck(model: Plan, every: int) -> str:
             "kn": matrix("kn", lambda c: c.k),
             "kt": matrix("kt", lambda c: c.k_t),
             "gamman": matrix("gamman", lambda c: c.c / c.m_eff),
-            "gammat": matrix("gammat", lambda c: 0.0),
+            "gammat": matrix("gammat", lambda c: c.c_t / c.m_eff),
+        }
+    elif any_contact.law == "kuwabara_kono":
+        style = "hertz/stiffness"
+        properties |= {
+            "kn": matrix("kn", lambda c: 4.0 / 3.0 * c.E_eff),
+            "kt": matrix("kt", lambda c: 8.0 * c.G_eff),
+            "gamman": matrix("gamman", lambda c: c.c / c.m_eff / c.R_eff**0.5),
+            "gammat": matrix("gammat", lambda c: c.c_t / c.m_eff / c.R_eff**0.5),
         }
     else:
         style = "hertz"
@@ -69,7 +77,8 @@ def deck(model: Plan, every: int) -> str:
             "poissonsRatio": "peratomtype " + " ".join(repr(m.poisson) for m in materials if m),
             "coefficientRestitution": matrix("e", lambda c: c.e_n),
         }
-    switches = "tangential_damping off" + (" limitForce on" if any_contact.end == "force" else "")
+    switches = "tangential_damping " + ("on" if any(c.c_t for c in model.contacts.values()) else "off")
+    switches += " limitForce on" if any_contact.end == "force" else ""
     lines += [f"fix p{k} all property/global {name} {text}" for k, (name, text) in enumerate(properties.items())]
     lines += [f"pair_style gran model {style} tangential history {switches}", "pair_coeff * *"]
     lines.append(f"timestep {model.dt!r}")

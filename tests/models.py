@@ -32,8 +32,14 @@ def contact(
     k_n: float,
     friction: float,
     end: str,
+    damping_t: str = "none",
+    law: str = "tsuji",
 ) -> PairContact:
-    """A linear (k_n) or a Tsuji contact (from the materials) with the damping of the overlap end."""
+    """A linear (k_n) or a Hertz contact (from the materials) with the damping of the overlap end.
+
+    ``damping_t``: tangentially "none", the "same" damping ratio as normally, or "half" the coefficient. ``law``: of
+    the Hertz contact, "tsuji" or "kuwabara_kono".
+    """
     if isinstance(b, Wall):
         both = wall_pair(a.material, a.radius, b.material)
     else:
@@ -41,12 +47,17 @@ def contact(
     m, zeta = float(both.m_eff), damping_ratio(e_n)
     linear = kind == "linear"
     k = k_n if linear else float(both.k_h)
+    k_t = float(both.k_t_ratio) * k if linear else 8.0 * float(both.G_eff) * math.sqrt(float(both.R_eff))
+    p = 0.0 if linear else {"tsuji": 0.25, "kuwabara_kono": 0.5}[law]
+    # the second is about as strong at overlaps of some 0.01 mm
+    c = (2.0 if linear else math.sqrt(5.0) if law == "tsuji" else 50.0) * zeta * math.sqrt(k * m)
+    tangent = k if linear else 2.0 * float(both.E_eff) * math.sqrt(float(both.R_eff))
     return PairContact(
-        law="linear" if linear else "tsuji",
+        law="linear" if linear else law,
         k=k,
         n=1.0 if linear else 1.5,
-        c=2.0 * zeta * math.sqrt(k * m) if linear else math.sqrt(5.0) * zeta * math.sqrt(k * m),
-        p=0.0 if linear else 0.25,
+        c=c,
+        p=p,
         end=end,
         e_n=e_n,
         v_0=None if linear else 1.0,
@@ -58,7 +69,8 @@ def contact(
         G_eff=float(both.G_eff),
         friction=friction,
         rolling_friction=0.0,
-        k_t=float(both.k_t_ratio) * k if linear else 8.0 * float(both.G_eff) * math.sqrt(float(both.R_eff)),
+        k_t=k_t,
+        c_t={"none": 0.0, "same": c * math.sqrt(k_t / tangent), "half": 0.5 * c}[damping_t],
     )
 
 
@@ -72,6 +84,8 @@ def model(
     k_n: float = 1000.0,
     friction: float = 0.0,
     end: str = "overlap",
+    damping_t: str = "none",
+    law: str = "tsuji",
     flight_every: int = 20,
     record_every: int = 1,
 ) -> Plan:
@@ -81,7 +95,9 @@ def model(
     for a, b in scene.body_pairs():
         names = (a.name, b.name)
         e = e_n if isinstance(e_n, float) else e_n[names]
-        contacts[species.pair_of(names)] = contact(a, b, kind, e_n=e, k_n=k_n, friction=friction, end=end)
+        contacts[species.pair_of(names)] = contact(
+            a, b, kind, e_n=e, k_n=k_n, friction=friction, end=end, damping_t=damping_t, law=law
+        )
     dt = min(c.t_c for c in contacts.values()) / steps_per_contact
     return Plan(
         scene=scene,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
@@ -34,7 +35,8 @@ class BlockFlags(Flags):
         Parameter(help="steps per contact N; default: that of the case, else 50 (more for a small e_n)"),
     ] = None
     style: Annotated[
-        Literal["hooke/stiffness", "hooke", "hertz"], Parameter(help="LIGGGHTS' normal model in the block")
+        Literal["hooke/stiffness", "hooke", "hertz", "hertz/stiffness"],
+        Parameter(help="LIGGGHTS' normal model in the block"),
     ] = "hooke/stiffness"
     friction: Annotated[
         float | None, Parameter(help="Coulomb friction in the block; default 0; not with a case, which has its own")
@@ -170,9 +172,9 @@ def _pairs(scene: Scene) -> Iterator[_CasePair]:
     from kncal.scene.species import species_of
 
     species = species_of(scene)
-    for which, (e_n, _, v_0, k_n) in species_choices(scene).items():
+    for which, said in species_choices(scene).items():
         bodies = species.bodies(which)
-        yield _CasePair(bodies, pair_of(*bodies), e_n, v_0, k_n, species.meetings(which))
+        yield _CasePair(bodies, pair_of(*bodies), said.e_n, said.v_0, said.k_n, species.meetings(which))
 
 
 def _kn_case(scene: Scene, uncertain: Sequence[str], options: dict[str, Any], block: BlockFlags, *, json: bool) -> None:
@@ -194,7 +196,8 @@ def _kn_case(scene: Scene, uncertain: Sequence[str], options: dict[str, Any], bl
         data = kn_data(p.pair, p.v_0, p.e_n, contact.law, contact.end, given, steps, contact.method if many else None)
         if p.k_n is not None:
             data["methods"].append(_prescribed(contact, p, steps))
-        result[name] = data | {"k_n_prescribed": p.k_n, "pairs_of_bodies": p.number}
+        beside = {} if many else _beside_the_normal(scene, p)
+        result[name] = data | {"k_n_prescribed": p.k_n, "pairs_of_bodies": p.number, "contacts": beside}
     spreads = {
         name: propagate_pair(contact, p.bodies, uncertain, e_n=p.e_n, v_0=p.v_0)
         for name, p in pairs.items()
@@ -214,6 +217,24 @@ def _kn_case(scene: Scene, uncertain: Sequence[str], options: dict[str, Any], bl
             show.say()
             print_propagation(f"{name}, {contact.method}", spreads[name])
     _say_block(block.style, text)
+
+
+def _beside_the_normal(scene: Scene, p: _CasePair) -> dict[str, dict[str, float | None]]:
+    """What friction and cohesion make of a contact, by model; nothing of a pair that has neither."""
+    from kncal.core.errors import CaseFileError, ValidityError
+    from kncal.scene.model import KINDS
+    from kncal.scene.pair_contact import bond_number
+    from kncal.scene.plan import contact_of, speed_once
+
+    found: dict[str, dict[str, float | None]] = {}
+    for kind in KINDS:
+        with suppress(CaseFileError, ValidityError):  # the table says what the pair lacks
+            c = contact_of(scene, *p.bodies, kind, speed_once(), 0.0)
+            row = {"c_t": c.c_t, "e_t": c.stick_restitution()} if c.friction > 0.0 else {}
+            sticky = {"cohesion_energy_density": c.cohesion, "bond_number": bond_number(c, p.bodies, scene.g)}
+            if row := row | (sticky if c.cohesion > 0.0 else {}):
+                found[kind] = row
+    return found
 
 
 def _say_block(what: str, block: str) -> None:
@@ -257,6 +278,9 @@ def _kn_print_pair(name: str, data: dict[str, Any], method: str) -> None:
     if data["pairs_of_bodies"] > 1:
         show.say(f"{name} stands for {data['pairs_of_bodies']} pairs of bodies that are alike:")
     kn_print(name, data)
+    for kind, row in data["contacts"].items():
+        known = ", ".join(f"{key} = {value:.4g}" for key, value in row.items() if value is not None)
+        show.say(f"  {kind}: {known}")
     if data["v_0"] is None:
         show.say(f"{name}: the case has no impact speed to calibrate at (contact.v_0 sets one)")
     if data["k_n_prescribed"] is not None:

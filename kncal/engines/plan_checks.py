@@ -20,7 +20,7 @@ def check_contact(names: tuple[str, str], c: PairContact) -> None:
     for key in ("k", "m_eff", "R_eff", "E_eff", "G_eff"):
         value = getattr(c, key)
         expect(math.isfinite(value) and value > 0.0, names, f"{key} = {value!r}", "a finite value > 0")
-    for key in ("c", "friction", "rolling_friction", "k_t"):
+    for key in ("c", "friction", "rolling_friction", "rolling_damping", "k_t", "c_t", "cohesion"):
         value = getattr(c, key)
         expect(math.isfinite(value) and value >= 0.0, names, f"{key} = {value!r}", "a finite value >= 0")
     expect(c.end in ("overlap", "force"), names, f"contact end {c.end!r}", "'overlap' or 'force'")

@@ -28,11 +28,11 @@ _STRAIGHT = 1e-12
 
 
 def exact_motion(model: Plan) -> ExactSolution | None:
-    """Return the exact motion of ``model``; None where friction acts, for which there is no exact motion here.
+    """Return the exact motion of ``model``; None where friction or cohesion acts: there is no exact motion here.
 
     With friction only one pair of bodies is asked whether it slips at all.
     """
-    if model.needs.uses("tangential") and len(model.scene.body_pairs()) != 1:
+    if model.needs.uses("cohesion") or (model.needs.uses("tangential") and len(model.scene.body_pairs()) != 1):
         return None
     try:
         return solve(model, model.t_end)
@@ -49,7 +49,7 @@ def exact_metrics(model: Plan, motion: ExactSolution | None) -> dict[str, float]
     """
     if motion is not None:
         return dict(observe(model, exact_trajectory(model, motion)).metrics)
-    if len(model.scene.body_pairs()) != 1 or not model.scene.planes:
+    if len(model.scene.body_pairs()) != 1 or not model.scene.planes or model.needs.uses("cohesion"):
         return None
     smooth = model.without_friction()
     frames = exact_trajectory(smooth, solve(smooth, model.t_end))
@@ -78,6 +78,7 @@ def _friction_metrics(model: Plan, normal: Mapping[str, float]) -> dict[str, flo
         end = slip_end(v_t, contact.friction, abs(model.scene.gravity[axis]))
         return {"slip_end_time": end.time, "slip_end_speed": end.speed}
     attracts = contact.end == "overlap" and contact.c > 0.0
+    attracts = attracts or contact.c_t > 0.0  # a contact that slips all the time begins and ends with sticking
     e_n, v_n = min(normal.get("e_n", math.nan), 1.0), touch[1]  # an elastic one may be 1 and a rounding more
     if math.isnan(e_n) or attracts or speed < 3.5 * contact.friction * (1.0 + e_n) * v_n:
         return {}

@@ -140,7 +140,8 @@ def context_of(models: Mapping[str, Plan]) -> Context:
     """Return the context of the runs of one scene by model; the calibration is that of its first pair."""
     scene = next(iter(models.values())).scene
     a, b = scene.body_pairs()[0]
-    e_n, _, v_0, _ = pair_choice(scene, a, b)
+    numbers = pair_choice(scene, a, b)
+    e_n, v_0 = numbers.e_n, numbers.v_0
     errors, needs = error_table(models), decide(scene).to_frame()
     if v_0 is None:
         return Context(errors=errors, needs=needs)

@@ -11,6 +11,7 @@ from kncal.physics.methods import METHODS
 from kncal.report.page import Table
 from kncal.scene.gas import Gas
 from kncal.scene.model import Plan
+from kncal.scene.pair_contact import bond_number
 from kncal.scene.scene import ContactChoice
 
 _DEPTHS = {
@@ -30,6 +31,12 @@ _ENDS = {
     " it, a damped contact may pull.",
     "force": "Contact end: the normal force is back at zero. Attraction is cut off. Restitution and duration of the"
     " calibration count to that moment.",
+}
+#: Tangential damping of the case -> what it is.
+_DAMPING_T = {
+    "none": "no tangential damping",
+    "liggghts": "where it sticks the damping ratio of the normal direction",
+    "half_normal": "where it sticks half of the normal damping coefficient",
 }
 
 
@@ -81,7 +88,15 @@ def _contact(model: Plan, pair: tuple[str, str]) -> str:
     if c is None:
         return "–"
     stiffness = f"k_n = {quantity(c.k, 'N/m', 4)}" if c.n == 1.0 else f"k_h = {c.k:.4g} N/m^1.5"
-    return f"{c.law}: {stiffness}, e_n = {c.e_n:g}, friction {c.friction:g}, t_c = {quantity(c.t_c, 's', 3)}"
+    words = [stiffness, f"e_n = {c.e_n:g}", f"friction {c.friction:g}"]
+    if c.c_t > 0.0 and (e_t := c.stick_restitution()) is not None:
+        words.append(f"e_t = {e_t:.3g} if it sticks")
+    words += [f"rolling friction {c.rolling_friction:g} ({c.rolling_model})"] if c.rolling_friction > 0.0 else []
+    if c.cohesion > 0.0:
+        words.append(f"cohesion {c.cohesion:.4g} J/m³")
+        bond = bond_number(c, model.species.bodies(model.species.pair_of(pair)), model.scene.g)
+        words += [] if bond is None else [f"bond number {bond:.3g}"]
+    return f"{c.law}: {', '.join(words)}, t_c = {quantity(c.t_c, 's', 3)}"
 
 
 def conventions(linear: Plan, hertz: Plan, shown: Set[str]) -> tuple[str, ...]:
@@ -96,8 +111,8 @@ def conventions(linear: Plan, hertz: Plan, shown: Set[str]) -> tuple[str, ...]:
         if ratios:
             tangential = (
                 f"linear k_t/k_n = {listed}, {how}; Hertz: Mindlin's 8 G_eff sqrt(R_eff δ). Both have friction with a"
-                " tangential spring and no tangential damping. The two decks differ only in the normal law, its"
-                " tangential stiffness and the time step."
+                f" tangential spring and {_DAMPING_T[scene.contact.tangential_damping]}. The two decks differ only in"
+                " the normal law, its tangential stiffness and the time step."
             )
         texts += [f"Tangential stiffness: {tangential}", _ENDS[scene.contact.end], _method(scene.contact)]
     if any(name.startswith("bubble_") for name in shown):

@@ -7,6 +7,7 @@ Only contradictions, and what no engine can run, are refused here. What is possi
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import fields
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from kncal.scene.metrics import COUPLED, FEW_PARTICLES, METRICS, offered, split_
 from kncal.scene.needs import OVERRULABLE
 from kncal.scene.placement import PLACEMENTS
 from kncal.scene.problem import Path, Problem, first_speed, interval, known_name, one_of_two
-from kncal.scene.scene import MOST_SINGLE, Scene
+from kncal.scene.scene import MOST_SINGLE, PairChoice, Scene
 from kncal.scene.values import NAME
 from kncal.scene.walls import BoxWall, PlaneWall
 
@@ -97,6 +98,9 @@ def _contact(scene: Scene) -> Iterator[Problem]:
             METHODS[contact.method].options(contact.options)
         except InputError as error:
             yield ("contact", "options"), str(error)
+    if contact.rolling_damping > 0.0 and contact.rolling_model != "epsd":
+        why = f'has no meaning for rolling_model = "{contact.rolling_model}": leave it out, or take "epsd"'
+        yield ("contact", "rolling_damping"), f"rolling_damping = {contact.rolling_damping:g}: {why}"
     if contact.law == "hertz":
         own: list[tuple[Path, float | None]] = [(("contact", "e_n"), contact.e_n)]
         own += [(("contact", "pairs", i, "e_n"), choice.e_n) for i, choice in enumerate(contact.pairs)]
@@ -115,8 +119,9 @@ def _exceptions(scene: Scene) -> Iterator[Problem]:
         unknown = [name for name in choice.between if name not in known]
         for name in unknown:
             yield from known_name((*path, "between"), name, known)
-        if choice.e_n is choice.friction is choice.v_0 is choice.k_n is None:
-            yield path, "changes nothing: expected at least one of e_n, friction, v_0, k_n"
+        keys = [f.name for f in fields(PairChoice) if f.name != "between"]
+        if all(getattr(choice, key) is None for key in keys):
+            yield path, f"changes nothing: expected at least one of {', '.join(keys)}"
         one, two = choice.between
         # a sphere that stands for its group meets its own kind
         meet = any(

@@ -86,7 +86,7 @@ def solve(model: Plan, t_end: float) -> ExactSolution:
     InputError
         If ``t_end`` is negative or not finite.
     ValidityError
-        If friction would act, or an overlap reaches a radius.
+        If friction or cohesion would act, or an overlap reaches a radius.
     """
     end = float(in_range("t_end", t_end, 0.0, math.inf, unit="s"))
     motion = EventMotion(model)

@@ -70,6 +70,12 @@ class EventMotion:
         self.spin = np.array([p.spin for p in scene.spheres], dtype=np.float64)
         self.radius = np.array([p.radius for p in scene.spheres], dtype=np.float64)
         self.pairs = pairs_of(model)
+        if sticky := next((pair for pair in self.pairs if pair.contact.cohesion > 0.0), None):
+            raise ValidityError(
+                f"{scene.name}: {sticky.names[0]}–{sticky.names[1]} have a cohesion energy density of "
+                f"{sticky.contact.cohesion:g} J/m³: expected 0 for an exact motion; integrate the model instead, up to "
+                "run.until_time"
+            )
         self.delta = [self._overlap(p) for p in self.pairs]
         self.open: dict[int, _Open] = {}
         self.ended: list[ContactEvent] = []

@@ -10,6 +10,8 @@ from functools import cached_property
 import numpy as np
 
 from kncal.core.checks import Array
+from kncal.physics.cohesion import pull_off
+from kncal.physics.tangential import stick_restitution
 from kncal.scene.needs import Needs
 from kncal.scene.scene import Scene
 from kncal.scene.species import SpeciesPair, SpeciesTable, species_of
@@ -21,8 +23,9 @@ KINDS = ("linear", "hertz")
 class PairContact:
     """The contact of one pair of bodies, in the numbers a solver works with.
 
-    Normal force (positive = repulsion): F = k delta^n + c delta^p delta_dot.
-    Tangential force: -k_t delta^(n-1) s - c_t delta_dot_t (linear) or the Mindlin form (hertz), cut at friction·|F|.
+    Normal force (positive = repulsion): F = k delta^n + c delta^p delta_dot; cohesion pulls beside it.
+    Tangential force: -k_t delta^(n-1) s - c_t delta^p u of a spring stretched by s, with the velocity u of the contact
+    point; where the spring pulls with more than friction·|F| it slips at that force, without damping.
 
     Attributes
     ----------
@@ -39,6 +42,9 @@ class PairContact:
     m_eff, R_eff, E_eff, G_eff : of the pair [kg], [m], [Pa], [Pa]
     friction : Coulomb coefficient [-]
     k_t : tangential stiffness: [N/m] (linear), or 8 G_eff sqrt(R_eff) [N/m^1.5], times sqrt(delta) (hertz)
+    c_t : tangential damping [N s/m^(1+p)]
+    rolling_model, rolling_damping : as in the case
+    cohesion : energy density of the attraction by contact area [J/m³]
     warnings : what the calibration says about this pair, code -> sentence
     """
 
@@ -59,12 +65,27 @@ class PairContact:
     friction: float
     rolling_friction: float
     k_t: float
+    c_t: float = 0.0
+    rolling_model: str = "cdt"
+    rolling_damping: float = 0.0
+    cohesion: float = 0.0
     warnings: Mapping[str, str] = field(default_factory=dict)
 
     def force(self, delta: Array, delta_dot: Array) -> Array:
         """Return the normal force [N] while the bodies touch; without its attraction for the end "force"."""
         force: Array = self.k * delta**self.n + self.c * delta**self.p * delta_dot
         return np.maximum(force, 0.0) if self.end == "force" else force
+
+    def stick_restitution(self) -> float | None:
+        """Return -u(t_c)/u(0) of the contact point if it never slips (`kncal.physics.tangential`); None without v_0."""
+        if self.v_0 is None and self.n != 1.0:
+            return None
+        numbers = {key: getattr(self, key) for key in ("n", "p", "k", "c", "k_t", "c_t", "m_eff", "end")}
+        return stick_restitution(**numbers, v_0=1.0 if self.v_0 is None else self.v_0)
+
+    def pull_off(self) -> float:
+        """Return the largest force [N] that the contact at rest resists when it is pulled; 0 of a linear one."""
+        return pull_off(self.k, self.n, self.cohesion, self.R_eff)
 
     def overlap_under(self, force: float) -> float:
         """Return the overlap [m] at which the spring carries ``force`` [N]: (F/k)^(1/n)."""

@@ -21,11 +21,9 @@ if TYPE_CHECKING:
 
 #: The physics that `decide` looks at, in the order of its table: of a few bodies, and of a bed. The last two of a bed
 #: are the solvers that follow from the rest.
-PHYSICS = ("tangential", "rotation", "rolling", "gravity", "walls", "pair_contacts", "damping", "gas")
-BED_PHYSICS = (
-    "gas", "motion", "settling", "contacts", "tangential", "rolling", "damping", "depth", "coupling", "liggghts",
-    "openfoam",
-)  # fmt: skip
+_OF_CONTACTS = ("tangential", "rolling", "tangential_damping", "history", "cohesion", "damping")
+PHYSICS = (*_OF_CONTACTS, "rotation", "gravity", "walls", "pair_contacts", "gas")
+BED_PHYSICS = ("gas", "motion", "settling", "contacts", *_OF_CONTACTS, "depth", "coupling", "liggghts", "openfoam")
 #: Those where a user may know better; the others are facts of the scene, or follow from these.
 OVERRULABLE = ("tangential", "rolling")
 
@@ -130,14 +128,16 @@ def _of_single(scene: Scene) -> Needs:
         if rolling_used
         else "no contact exerts a torque: spins stay as they are"
     )
+    damping = _damping(scene, contacts)
     own = (
         Need("tangential", tangential, why_tangential),
-        Need("rotation", rotation, why_rotation),
         Need("rolling", rolling, why_rolling),
+        *_that_follow(scene, bool(contacts), tangential_used, rolling_used, damping.used),
+        damping,
+        Need("rotation", rotation, why_rotation),
         _gravity(scene),
         _walls(scene, contacts),
         _pair_contacts(scene, contacts),
-        _damping(scene, contacts),
         Need("gas", False, "the scene has no gas"),
     )
     rank = space.shape[1]
@@ -178,7 +178,7 @@ def _tangential(scene: Scene, space: Array, contacts: list[Contact]) -> tuple[bo
 
 
 def _rolling(scene: Scene, contacts: list[Contact], tangential: bool) -> tuple[bool, str]:
-    if scene.contact.rolling_friction == 0.0:
+    if max(_exceptions(scene, "rolling_friction")) == 0.0:
         return False, "the rolling friction coefficient is 0"
     if tangential:
         return True, "a rolling friction coefficient, and particles that can be set rolling"
@@ -187,6 +187,33 @@ def _rolling(scene: Scene, contacts: list[Contact], tangential: bool) -> tuple[b
             if np.linalg.norm(np.cross(p.spin, normal_of((a, b)))) > 0.0:
                 return True, f"a rolling friction coefficient, and {p.name!r} spins in its contact"
     return False, "a rolling friction coefficient, but nothing can be set rolling"
+
+
+def _that_follow(scene: Scene, contacts: bool, tangential: bool, rolling: bool, damping: bool) -> tuple[Need, ...]:
+    """Tangential damping, history and cohesion: what a user says of them, and what the rest leaves of it."""
+    contact = scene.contact
+    if contact.tangential_damping == "none":
+        damped, why = False, "the case asks for none: energy is lost by sliding alone"
+    elif not tangential:
+        damped, why = False, "there is no tangential force to damp"
+    elif not damping:
+        damped, why = False, "e_n is 1 in every contact: no damping in either direction"
+    else:
+        damped, why = True, f'"{contact.tangential_damping}": a contact that sticks loses energy too'
+    springs = {"the tangential spring": tangential, "the spring against rolling": rolling and _rolls_by_spring(scene)}
+    kept = [name for name, used in springs.items() if used]
+    memory = f"{' and '.join(kept)} remember{'s' if len(kept) == 1 else ''} the way since the contact began"
+    cohesive = contacts and max(_exceptions(scene, "cohesion_energy_density")) > 0.0
+    attraction = "attraction by contact area (sjkr)" if cohesive else "the cohesion energy density is 0"
+    return (
+        Need("tangential_damping", damped, why),
+        Need("history", bool(kept), memory if kept else "no force of a contact depends on what was before"),
+        Need("cohesion", cohesive, attraction if contacts else "there are no contacts"),
+    )
+
+
+def _rolls_by_spring(scene: Scene) -> bool:
+    return scene.contact.rolling_model != "cdt"
 
 
 def _gravity(scene: Scene) -> Need:
@@ -233,6 +260,7 @@ def _of_coupled(scene: Scene) -> Needs:
     contacts, why_contacts = _coupled_contacts(scene, motion.used or settling.used)
     tangential = _overruled(_coupled_tangential(scene, contacts), scene.needs)
     rolling = _overruled(_coupled_rolling(scene, tangential.used), scene.needs)
+    damping = _coupled_damping(scene, contacts)
     work = "moves the particles" if motion.used else "settles the packing, before the gas starts"
     items = (
         Need("gas", gas, "the case has a [gas]" if gas else "the case has no [gas]"),
@@ -241,7 +269,8 @@ def _of_coupled(scene: Scene) -> Needs:
         Need("contacts", contacts, why_contacts),
         tangential,
         rolling,
-        _coupled_damping(scene, contacts),
+        *_that_follow(scene, contacts, tangential.used, rolling.used, damping.used),
+        damping,
         *([_depth(scene)] if scene.run.coupling is not None else _of_walls(scene)),
         _coupling(gas, motion.used, bool(scene.number)),
         Need("liggghts", moved := motion.used or settling.used, work if moved else "nothing moves but the gas"),
@@ -324,7 +353,7 @@ def _coupled_tangential(scene: Scene, contacts: bool) -> Need:
 
 
 def _coupled_rolling(scene: Scene, tangential: bool) -> Need:
-    if scene.contact.rolling_friction == 0.0:
+    if max(_exceptions(scene, "rolling_friction")) == 0.0:
         used, reason = False, "the rolling friction coefficient is 0"
     elif tangential:
         used, reason = True, "a rolling friction coefficient, and particles that are set rolling by friction"

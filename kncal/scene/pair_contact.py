@@ -3,27 +3,40 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import NamedTuple
 
 from kncal.core.errors import CaseFileError
-from kncal.physics.calibration import Calibration, calibrate
+from kncal.physics import cohesion
+from kncal.physics.calibration import OVERLAP_DOUBTFUL, Calibration, calibrate
 from kncal.physics.impact import dimensionless_impact
 from kncal.physics.laws import LAWS
 from kncal.physics.laws.base import ContactLaw
-from kncal.physics.material import Pair
+from kncal.physics.material import Pair, sphere_mass
+from kncal.physics.tangential import TANGENTIAL_DAMPING
 from kncal.physics.timestep import contact_time
+from kncal.scene.bodies import Body, Particle
 from kncal.scene.model import PairContact
 from kncal.scene.scene import ContactChoice, PairChoice
 
+#: Relative difference of the overlaps, and so of the areas of cohesion, of the two contacts that is worth a word.
+COHESION_AREA = 0.1
+
 
 class PairNumbers(NamedTuple):
-    """What the case says about one pair: e_n [-], friction [-], v_0 [m/s] and k_n [N/m] where prescribed."""
+    """What the case says about one pair.
+
+    e_n [-], friction [-], v_0 [m/s] and k_n [N/m] where prescribed, rolling friction [-], cohesion energy density
+    [J/m³].
+    """
 
     e_n: float
     friction: float
     v_0: float | None
     k_n: float | None
+    rolling_friction: float = 0.0
+    cohesion_energy_density: float = 0.0
 
 
 class Rest(NamedTuple):
@@ -46,13 +59,10 @@ def numbers_of(contact: ContactChoice, exception: PairChoice | None) -> PairNumb
             'contact.v_0 = "measured": a speed that is still to be measured; kncal kn, render, run and compare of the '
             "case measure it first: here expected a number [m/s], such as the one that kncal kn of the case ends with"
         )
-    e_n, friction, v_0, k_n = contact.e_n, contact.friction, contact.v_0, contact.k_n
+    own = {key: getattr(contact, key) for key in PairNumbers._fields}
     if exception is not None:
-        e_n = e_n if exception.e_n is None else exception.e_n
-        friction = friction if exception.friction is None else exception.friction
-        v_0 = v_0 if exception.v_0 is None else exception.v_0
-        k_n = k_n if exception.k_n is None else exception.k_n
-    return PairNumbers(e_n, friction, v_0, k_n)
+        own |= {key: value for key in own if (value := getattr(exception, key)) is not None}
+    return PairNumbers(**own)
 
 
 def calibration_for(
@@ -62,7 +72,7 @@ def calibration_for(
 
     ``law``: in place of the one that ``contact`` names.
     """
-    e_n, _, v_0, k_n = numbers
+    e_n, v_0, k_n = numbers.e_n, numbers.v_0, numbers.k_n
     reference = law or contact.law
     if v_0 is None:
         return None
@@ -120,7 +130,7 @@ def pair_contact(
     CaseFileError
         If the hertz model has no reference law of that kind, or its damping or duration needs an impact speed.
     """
-    e_n, friction, v_0, k_n = numbers
+    e_n, v_0, k_n = numbers.e_n, numbers.v_0, numbers.k_n
     calibration = calibration_for(contact, both, numbers, law)
     m_eff, E_eff, R_eff, G_eff = (float(x) for x in (both.m_eff, both.E_eff, both.R_eff, both.G_eff))
     ratio = contact.k_t_ratio
@@ -154,7 +164,8 @@ def pair_contact(
                 # pressed together harder than an impact at v_0 would: stiffer, so shorter
                 t_c = min(t_c, resting_time(both, rest, scene, names))
         k_t = 8.0 * G_eff * math.sqrt(R_eff)
-    return PairContact(
+    warnings = {} if calibration is None else {w.code: str(w) for w in calibration.warnings}
+    made = PairContact(
         law=name,
         k=stiffness,
         n=n,
@@ -169,17 +180,64 @@ def pair_contact(
         R_eff=R_eff,
         E_eff=E_eff,
         G_eff=G_eff,
-        friction=friction,
-        rolling_friction=contact.rolling_friction,
+        friction=numbers.friction,
+        rolling_friction=numbers.rolling_friction,
         k_t=k_t,
-        warnings={} if calibration is None else {w.code: str(w) for w in calibration.warnings},
+        c_t=TANGENTIAL_DAMPING[contact.tangential_damping](c, n, stiffness, k_t),
+        rolling_model=contact.rolling_model,
+        rolling_damping=contact.rolling_damping,
+        cohesion=numbers.cohesion_energy_density,
+        warnings=warnings,
     )
+    if made.cohesion == 0.0:
+        return made
+    depth = None if calibration is None else float(calibration.reference.delta_max)
+    return _cohesive(made, depth, keeps_force=contact.cohesion_keeps == "force")
 
 
-def smooth(contact: PairContact, *, tangential: bool, rolling: bool) -> PairContact:
-    """Return the contact without the friction that a scene doesn't need."""
+def _cohesive(contact: PairContact, depth: float | None, *, keeps_force: bool) -> PairContact:
+    """Return a contact with what is to be said of its cohesion, and the energy density that keeps the force.
+
+    ``depth``: largest overlap of the Hertz contact at v_0 [m]; None where no impact speed is known.
+    """
+    said: dict[str, str] = {}
+    k, n, R_eff, density = contact.k, contact.n, contact.R_eff, contact.cohesion
+    if n == 1.0 and depth and contact.delta_max:
+        same = cohesion.same_force(density, depth, contact.delta_max)
+        deeper = contact.delta_max / depth
+        if keeps_force:
+            density = same
+        elif abs(deeper - 1.0) > COHESION_AREA:
+            said["cohesion-area"] = (
+                f"the linear contact overlaps {deeper:.3g} times as deep as Hertz at v_0 = {contact.v_0:g} m/s, and "
+                f"cohesion pulls by area: expected a cohesion energy density of {same:.4g} J/m³ for the same force in "
+                'this contact; contact.cohesion_keeps = "force" takes it'
+            )
+    if n == 1.0:
+        pulled = cohesion.share(k, n, density, R_eff, 1.0)
+        said["cohesion-linear"] = (
+            f"cohesion pulls with {pulled:.3g} of the force by which the spring pushes, at every overlap: a linear "
+            "contact at rest does not stick; take the hertz model where particles are to hang on each other"
+        )
+    elif (deep := cohesion.resting_overlap(k, n, density, R_eff) / R_eff) > OVERLAP_DOUBTFUL:
+        said["cohesion-overlap"] = (
+            f"cohesion alone holds an overlap of {deep:.3g} R_eff: expected at most {OVERLAP_DOUBTFUL:g}; take a "
+            "smaller cohesion energy density or a stiffer material"
+        )
+    return replace(contact, cohesion=density, warnings={**contact.warnings, **said})
+
+
+def bond_number(contact: PairContact, bodies: Iterable[Body], g: float) -> float | None:
+    """Return the force that pulls a contact open at rest over the weight of the lighter body; None without weight."""
+    masses = [float(sphere_mass(body.material, body.radius)) for body in bodies if isinstance(body, Particle)]
+    return None if g == 0.0 else contact.pull_off() / (min(masses) * g)
+
+
+def smooth(contact: PairContact, *, tangential: bool, rolling: bool, damped: bool) -> PairContact:
+    """Return the contact without the friction, and the tangential damping, that a scene doesn't need."""
     return replace(
         contact,
         friction=contact.friction if tangential else 0.0,
         rolling_friction=contact.rolling_friction if rolling else 0.0,
+        c_t=contact.c_t if damped else 0.0,
     )

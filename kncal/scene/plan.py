@@ -170,7 +170,8 @@ def species_contacts(
     `pair_choice`; ``needs``: friction that it does not name is left out, None: all of it stays.
     """
     species, speed = species_of(scene), first_speed or speed_once()
-    uses = {name: needs is None or needs.uses(name) for name in ("tangential", "rolling")}
+    parts = {"tangential": "tangential", "rolling": "rolling", "damped": "tangential_damping"}
+    uses = {key: needs is None or needs.uses(name) for key, name in parts.items()}
 
     def made(which: SpeciesPair, overlap: float) -> PairContact:
         return smooth(contact_of(scene, *species.bodies(which), kind, speed, overlap), **uses)

@@ -31,6 +31,7 @@ from kncal.scene.sizes import Classes, classes, counts
 from kncal.scene.values import (
     Acceleration,
     Cells,
+    Cohesion,
     Flag,
     Friction,
     Name,
@@ -83,6 +84,8 @@ class PairChoice:
     friction: Friction | None = Field(default=None, description="Coulomb friction coefficient [-]")
     v_0: Speed | None = Field(default=None, description="impact speed to calibrate at [m/s]")
     k_n: Stiffness | None = Field(default=None, description="prescribed linear stiffness [N/m]")
+    rolling_friction: Friction | None = Field(default=None, description="rolling friction coefficient [-]")
+    cohesion_energy_density: Cohesion | None = Field(default=None, description="cohesion energy density [J/m³]")
 
 
 @checked_class
@@ -121,7 +124,27 @@ class ContactChoice:
     k_t_ratio: Annotated[Number, within(0.0, 10.0)] | None = Field(
         default=None, description="k_t/k_n of the linear contact [-]; none: the Mindlin ratio of the pair"
     )
+    tangential_damping: Literal["none", "liggghts", "half_normal"] = Field(
+        default="none",
+        description='of a contact that sticks: "none", "liggghts" (the damping ratio of the normal direction) or '
+        '"half_normal" (half of the normal coefficient, as MFIX)',
+    )
     rolling_friction: Friction = Field(default=0.0, description="rolling friction coefficient [-]")
+    rolling_model: Literal["cdt", "epsd", "epsd2"] = Field(
+        default="cdt",
+        description='"cdt" (a torque of constant size against the spin), "epsd" or "epsd2" (a spring that yields)',
+    )
+    rolling_damping: Annotated[Number, within(0.0, 10.0)] = Field(
+        default=0.0, description='damping of the spring of "epsd", as a share of the critical one [-]'
+    )
+    cohesion_energy_density: Cohesion = Field(
+        default=0.0, description="attraction per contact area (sjkr) [J/m³]; 0: none"
+    )
+    cohesion_keeps: Literal["density", "force"] = Field(
+        default="density",
+        description='what the linear contact has in common with Hertz: the energy "density", or the "force" of '
+        "cohesion at the largest overlap of an impact at v_0",
+    )
     options: dict[Name, Option] = Field(default_factory=dict, description="options of the method")
     pairs: Annotated[tuple[PairChoice, ...], Field(max_length=MOST_PAIRS)] = Field(
         default=(), description="exceptions for single pairs"

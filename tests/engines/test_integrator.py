@@ -264,10 +264,30 @@ def test_a_stuck_contact_swings_at_its_own_frequency(kind: str) -> None:
     assert slip / 1e-4 == pytest.approx(np.cos(omega * run_.t), abs=5e-3)
 
 
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("damping_t", ["same", "half"])
+def test_the_contact_point_leaves_a_sticking_impact_as_predicted(kind: str, damping_t: str) -> None:
+    # the prediction is for overlaps small against the radius
+    scene = on_wall(gap=1e-7, velocity=(0.01, 0.0, -0.01))
+    given = model(scene, kind, t_end=2e-3, steps_per_contact=1000.0, e_n=0.7, friction=1e9, damping_t=damping_t)
+    given = dataclasses.replace(
+        given,
+        contacts={
+            pair: dataclasses.replace(c, v_0=0.01, t_c=c.t_c * 0.01**-0.2 if kind == "hertz" else c.t_c)
+            for pair, c in given.contacts.items()
+        },
+    )
+    run_ = integrate(given)
+    after = run_.v[-1, 0, 0] - R * run_.spin[-1, 0, 1]
+    predicted = given.between("bead", "floor").stick_restitution()
+    assert predicted is not None
+    assert -after / 0.01 == pytest.approx(predicted, abs=5e-3)
+
+
 def test_what_it_cannot_do_is_refused() -> None:
     given = model(on_wall(), "linear", t_end=1e-4)
     contact = dataclasses.replace(given.between("bead", "floor"), rolling_friction=0.1)
-    with pytest.raises(RenderError, match=r"bead–floor: rolling_friction = 0\.1.*liggghts"):
+    with pytest.raises(RenderError, match=r"bead, floor: rolling_friction = 0\.1.*liggghts"):
         integrate(dataclasses.replace(given, contacts={(0, 1): contact}))
     with pytest.raises(RenderError, match="dt = 0"):
         integrate(dataclasses.replace(given, dt=0.0))
@@ -348,6 +368,27 @@ def test_friction_is_that_of_liggghts(kind: str, scene: Scene, tmp_path: Path) -
     ours = integrate(given)
     _, rows = run(given, tmp_path)
     assert np.ptp(rows[:, :, 6:9], axis=0).max() > 1.0
+    for k, name in enumerate(("x", "v", "spin", "force")):
+        theirs = rows[:, :, 3 * k : 3 * k + 3]
+        assert np.abs(getattr(ours, name) - theirs).max() < 1e-11 * np.abs(theirs).max(), name
+
+
+@pytest.mark.solver
+@pytest.mark.parametrize(("kind", "law"), [("linear", "tsuji"), ("hertz", "tsuji"), ("hertz", "kuwabara_kono")])
+@pytest.mark.parametrize("friction", [0.3, 5.0], ids=["slips", "sticks"])
+@pytest.mark.parametrize(
+    "scene",
+    [on_wall(velocity=(0.5, 0.2, -1.0), spin=(3.0, 50.0, 100.0)), oblique_pair(radius_2=3 * R)],
+    ids=["wall", "pair"],
+)
+def test_tangential_damping_is_that_of_liggghts(
+    kind: str, law: str, friction: float, scene: Scene, tmp_path: Path
+) -> None:
+    given = model(scene, kind, t_end=1.5e-3, e_n=0.8, friction=friction, flight_every=1, damping_t="same", law=law)
+    ours = integrate(given)
+    _, rows = run(given, tmp_path)
+    undamped = integrate(model(scene, kind, t_end=1.5e-3, e_n=0.8, friction=friction, flight_every=1, law=law))
+    assert np.abs(undamped.spin[-1] - ours.spin[-1]).max() > (1.0 if friction > 1.0 else 1e-3)
     for k, name in enumerate(("x", "v", "spin", "force")):
         theirs = rows[:, :, 3 * k : 3 * k + 3]
         assert np.abs(getattr(ours, name) - theirs).max() < 1e-11 * np.abs(theirs).max(), name

@@ -324,12 +324,10 @@ def test_more_damping_than_liggghts_has_names_the_pair_and_the_way_out(tmp_path:
         Liggghts().render(model, tmp_path)
 
 
-@pytest.mark.parametrize(("law", "model"), [("kuwabara_kono", "hertz/stiffness"), ("hunt_crossley", "")])
-def test_laws_that_kncal_does_not_write_are_sent_to_the_builtin_engine(tmp_path: Path, law: str, model: str) -> None:
-    written = plan(scene(law=law), ["hertz"])["hertz"]
-    with pytest.raises(RenderError, match=f"{law}.*{model}.*builtin") as refused:
+def test_a_law_that_liggghts_does_not_have_is_sent_to_the_builtin_engine(tmp_path: Path) -> None:
+    written = plan(scene(law="hunt_crossley"), ["hertz"])["hertz"]
+    with pytest.raises(RenderError, match=r"hunt_crossley.*builtin"):
         Liggghts().render(written, tmp_path)
-    assert ("hertz/stiffness" in str(refused.value)) == bool(model)  # LIGGGHTS has that one
 
 
 def test_a_stiffness_that_liggghts_would_not_take_is_refused(tmp_path: Path, models: dict[str, Plan]) -> None:

@@ -304,9 +304,20 @@ def test_shipped_beds_say_what_they_are(name):
 
 PROMISED = {
     "terminal_velocity": {"gas", "motion", "depth", "coupling", "liggghts", "openfoam"},
-    "packed_bed": {"gas", "settling", "contacts", "tangential", "damping", "depth", "liggghts", "openfoam"},
+    "packed_bed": {"gas", "settling", "contacts", "tangential", "history", "damping", "depth", "liggghts", "openfoam"},
     "bubbling_bed": {
-        *("gas", "motion", "settling", "contacts", "tangential", "damping", "coupling", "liggghts", "openfoam")
+        *(
+            "gas",
+            "motion",
+            "settling",
+            "contacts",
+            "tangential",
+            "history",
+            "damping",
+            "coupling",
+            "liggghts",
+            "openfoam",
+        )
     },
 }
 

@@ -203,9 +203,9 @@ def test_frozen_at_known_places_needs_no_liggghts():
 
 def test_smooth_particles_need_no_tangential_force_unless_asked():
     smooth = with_contact(MINI, friction=0.0, rolling_friction=0.2)
-    assert used(MINI) - used(smooth) == {"tangential"}  # nothing sets them rolling either
+    assert used(MINI) - used(smooth) == {"tangential", "history"}  # nothing sets them rolling either
     rough_walls = with_contact(smooth, pairs=(PairChoice(between=("beads", "column"), friction=0.2),))
-    assert used(rough_walls) - used(smooth) == {"tangential", "rolling"}
+    assert used(rough_walls) - used(smooth) == {"tangential", "history", "rolling"}
     asked = decide(replace(smooth, needs={"tangential": True}))
     assert asked.uses("tangential")
     assert [item.name for item in asked.items if item.overruled] == ["tangential"]

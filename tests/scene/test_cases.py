@@ -26,8 +26,8 @@ PROMISED = {
     "wall_impact": {"walls", "damping"},
     "falling_particle": {"walls", "damping", "gravity"},
     "stacked_particles": {"pair_contacts", "walls", "damping", "gravity"},
-    "sliding_particle": {"walls", "gravity", "tangential", "rotation"},
-    "oblique_impact": {"walls", "tangential", "rotation"},
+    "sliding_particle": {"walls", "gravity", "tangential", "history", "rotation"},
+    "oblique_impact": {"walls", "tangential", "history", "rotation"},
 }
 every_case = pytest.mark.parametrize("name", SINGLE)
 

@@ -19,8 +19,8 @@ from math import sqrt
 
 import numpy as np
 
-from kncal.core.errors import RenderError, RunError
-from kncal.engines.plan_checks import check_contact, check_schedule
+from kncal.core.errors import RunError
+from kncal.engines.plan_checks import check_contact, check_schedule, expect
 from kncal.engines.tunnelling import PASSED_THROUGH
 from kncal.physics.material import sphere_mass
 from kncal.physics.normal_force import Force, normal_force
@@ -172,14 +172,12 @@ def check(model: Plan) -> None:
     Raises
     ------
     RenderError
-        For rolling friction, and for numbers that make no run (a step or stiffness that is not positive ...).
+        For rolling friction, cohesion, and numbers that make no run (a step or stiffness that is not positive ...).
     """
     for names, contact in model.named.items():
-        if contact.rolling_friction > 0.0:
-            raise RenderError(
-                f"{'–'.join(names)}: rolling_friction = {contact.rolling_friction:g}: the builtin engine has no "
-                "rolling friction: expected 0, or the engine liggghts"
-            )
+        for key in ("rolling_friction", "cohesion"):
+            value = getattr(contact, key)
+            expect(value == 0.0, names, f"{key} = {value:g}", "0 (the builtin engine has none), or the engine liggghts")
         check_contact(names, contact)
     check_schedule(model)
 
@@ -219,13 +217,19 @@ def _spring(contact: PairContact) -> Callable[[float], float]:
     return (lambda delta: k_t) if contact.n == 1.0 else (lambda delta: k_t * sqrt(delta))
 
 
+def _dashpot(contact: PairContact) -> Callable[[float], float]:
+    """Tangential damping [N s/m] at an overlap, c_t delta^p."""
+    c_t, p = contact.c_t, contact.p
+    return lambda delta: c_t * delta**p if c_t else 0.0
+
+
 def _wall_contact(model: Plan, contact: PairContact, motion: _Motion, i: int, wall: Wall) -> _Apply:
     x, v, spin, force, torque = motion.x, motion.v, motion.spin, motion.force, motion.torque
     radius, plane, dt = float(model.scene.spheres[i].radius), float(wall.position), model.dt
     axis = AXES.index(wall.axis)
     n, b, c = 3 * i + axis, 3 * i + (axis + 1) % 3, 3 * i + (axis + 2) % 3
     side = 1.0 if x[n] > plane else -1.0
-    law, mu, spring = _law(contact), contact.friction, _spring(contact)
+    law, mu, spring, dashpot = _law(contact), contact.friction, _spring(contact), _dashpot(contact)
     who = f"{model.scene.spheres[i].name}–{wall.name}"
     s_b = s_c = 0.0
 
@@ -244,15 +248,17 @@ def _wall_contact(model: Plan, contact: PairContact, motion: _Motion, i: int, wa
             return -delta
         # velocity of the contact point, v + spin x (-arm n); LIGGGHTS puts it half-way into the overlap
         arm = side * (radius - 0.5 * delta)
+        u_b, u_c = v[b] - arm * spin[c], v[c] + arm * spin[b]
         if moving:
-            s_b += (v[b] - arm * spin[c]) * dt
-            s_c += (v[c] + arm * spin[b]) * dt
-        k_t = spring(delta)
+            s_b += u_b * dt
+            s_c += u_c * dt
+        k_t, c_t = spring(delta), dashpot(delta)
         length, limit = k_t * sqrt(s_b * s_b + s_c * s_c), mu * abs(f_n)
         if length > limit:
             s_b *= limit / length
             s_c *= limit / length
-        f_b, f_c = -k_t * s_b, -k_t * s_c
+            c_t = 0.0
+        f_b, f_c = -k_t * s_b - c_t * u_b, -k_t * s_c - c_t * u_c
         force[b] += f_b
         force[c] += f_c
         torque[b] += arm * f_c
@@ -287,10 +293,11 @@ def _pair_contact(model: Plan, contact: PairContact, motion: _Motion, i: int, j:
         f_0, f_1, f_2 = f_n * n_0, f_n * n_1, f_n * n_2
         if mu > 0.0:
             arm_i, arm_j = r_i - 0.5 * delta, r_j - 0.5 * delta
+            v_t = (v_0 - v_n * n_0, v_1 - v_n * n_1, v_2 - v_n * n_2)
+            u = friction.sliding((n_0, n_1, n_2), v_t, arm_i, arm_j)
             if moving:
-                v_t = (v_0 - v_n * n_0, v_1 - v_n * n_1, v_2 - v_n * n_2)
-                friction.shear((n_0, n_1, n_2), v_t, arm_i, arm_j)
-            t_0, t_1, t_2 = friction.pull(delta, mu * abs(f_n))
+                friction.shear((n_0, n_1, n_2), u)
+            t_0, t_1, t_2 = friction.pull(delta, mu * abs(f_n), u)
             f_0, f_1, f_2 = f_0 + t_0, f_1 + t_1, f_2 + t_2
             m_0, m_1, m_2 = n_1 * t_2 - n_2 * t_1, n_2 * t_0 - n_0 * t_2, n_0 * t_1 - n_1 * t_0
             for k, arm in ((i0, arm_i), (j0, arm_j)):
@@ -309,36 +316,42 @@ def _pair_contact(model: Plan, contact: PairContact, motion: _Motion, i: int, j:
 
 
 class _PairFriction:
-    """The tangential spring of a pair, kept in the tangent plane."""
+    """The tangential spring of a pair, kept in the tangent plane, and its dashpot."""
 
     def __init__(self, contact: PairContact, motion: _Motion, i: int, j: int) -> None:
         self.spin, self.i, self.j, self.dt = motion.spin, 3 * i, 3 * j, motion.dt
-        self.stiffness = _spring(contact)
+        self.stiffness, self.dashpot = _spring(contact), _dashpot(contact)
         self.forget()
 
     def forget(self) -> None:
         self.s = (0.0, 0.0, 0.0)
 
-    def shear(self, n: _Vector, v_t: _Vector, arm_i: float, arm_j: float) -> None:
-        """Stretch by the velocity of the contact point, v_t - (arm_i spin_i + arm_j spin_j) x n."""
-        spin, i, j, dt = self.spin, self.i, self.j, self.dt
+    def sliding(self, n: _Vector, v_t: _Vector, arm_i: float, arm_j: float) -> _Vector:
+        """Velocity of the contact point, v_t - (arm_i spin_i + arm_j spin_j) x n."""
+        spin, i, j = self.spin, self.i, self.j
         w_0 = arm_i * spin[i] + arm_j * spin[j]
         w_1 = arm_i * spin[i + 1] + arm_j * spin[j + 1]
         w_2 = arm_i * spin[i + 2] + arm_j * spin[j + 2]
-        s_0 = self.s[0] + dt * (v_t[0] - (w_1 * n[2] - w_2 * n[1]))
-        s_1 = self.s[1] + dt * (v_t[1] - (w_2 * n[0] - w_0 * n[2]))
-        s_2 = self.s[2] + dt * (v_t[2] - (w_0 * n[1] - w_1 * n[0]))
+        return (
+            v_t[0] - (w_1 * n[2] - w_2 * n[1]),
+            v_t[1] - (w_2 * n[0] - w_0 * n[2]),
+            v_t[2] - (w_0 * n[1] - w_1 * n[0]),
+        )
+
+    def shear(self, n: _Vector, u: _Vector) -> None:
+        """Stretch the spring by the velocity ``u`` of the contact point."""
+        s_0, s_1, s_2 = (s + self.dt * rate for s, rate in zip(self.s, u, strict=True))
         along = s_0 * n[0] + s_1 * n[1] + s_2 * n[2]
         self.s = (s_0 - along * n[0], s_1 - along * n[1], s_2 - along * n[2])
 
-    def pull(self, delta: float, limit: float) -> _Vector:
-        """Force on the first body [N]; the spring slips back to the Coulomb limit."""
-        k_t, (s_0, s_1, s_2) = self.stiffness(delta), self.s
+    def pull(self, delta: float, limit: float, u: _Vector) -> _Vector:
+        """Force on the first body [N]; the spring slips back to the Coulomb limit, without damping."""
+        k_t, c_t, (s_0, s_1, s_2) = self.stiffness(delta), self.dashpot(delta), self.s
         length = k_t * sqrt(s_0 * s_0 + s_1 * s_1 + s_2 * s_2)
         if length > limit:
-            cut = limit / length
+            cut, c_t = limit / length, 0.0
             s_0, s_1, s_2 = self.s = (s_0 * cut, s_1 * cut, s_2 * cut)
-        return -k_t * s_0, -k_t * s_1, -k_t * s_2
+        return -k_t * s_0 - c_t * u[0], -k_t * s_1 - c_t * u[1], -k_t * s_2 - c_t * u[2]
 
 
 def _through(who: str) -> str:

@@ -18,7 +18,7 @@ from kncal.core.checks import Array
 from kncal.core.shipped import folder as shipped_folder
 from kncal.core.templating import number, render
 from kncal.engines.liggghts.deck_checks import check_bed, check_model, check_run, check_start
-from kncal.engines.liggghts.deck_tables import STYLES, AtomType, Contacts, atom_types, contact_context
+from kncal.engines.liggghts.deck_tables import STYLES, AtomType, Contacts, atom_types, contact_context, hertz_style
 from kncal.engines.liggghts.schedule import schedule
 from kncal.record.liggghts_log import END_MARKER
 from kncal.scene.bodies import Vector
@@ -130,7 +130,7 @@ def scene_deck(model: Plan, linear_style: str) -> Deck:
     return Deck(
         scene=scene.name,
         kind=model.kind,
-        style="hertz" if model.kind == "hertz" else linear_style,
+        style=hertz_style(model.contacts.values()) if model.kind == "hertz" else linear_style,
         types=atom_types(species),
         contacts=model.contacts,
         unmet=model.unmet,
@@ -180,7 +180,7 @@ def bed_deck(model: Plan, positions: Array | None = None, velocities: Array | No
     return Deck(
         scene=scene.name,
         kind=model.kind,
-        style="hertz" if model.kind == "hertz" else "hooke/stiffness",
+        style=hertz_style(model.contacts.values()) if model.kind == "hertz" else "hooke/stiffness",
         types=atom_types(model.species),
         contacts=model.contacts,
         walls=[DeckWall(name=name, kind=1, axis=axis, position=at) for name, axis, at in places],

@@ -5,7 +5,12 @@ Force laws as LIGGGHTS codes them (delta > 0 overlap, v approach speed, b = -ln 
 ``hooke/stiffness`` with ``absolute_damping``: F = kn delta + gamman_abs v; without: F = kn delta + m_eff gamman v.
 ``hertz``: F = (4/3) Y sqrt(R) delta^1.5 + 2 sqrt(5/6) b sqrt(2 Y sqrt(R delta) m) v, the Tsuji form:
 C = c/sqrt(m k_h) = sqrt(5) b.
+``hertz/stiffness``: F = sqrt(R delta) (kn delta + m gamman v), the Kuwabara–Kono form: C x^(1/2) x_dot.
 ``hooke``: F = kn delta + 2 b sqrt(m kn) v with kn = (16/15) sqrt(R) Y (15 m V²/(16 sqrt(R) Y))^(1/5).
+
+The tangential spring is kt, sqrt(R delta) kt, 8 G sqrt(R delta) (``hertz``), or kn or 2/7 kn (``hooke``). While it
+sticks, its damping is gammat_abs or m gammat, sqrt(R delta) m gammat, 2 sqrt(5/6) b sqrt(8 G sqrt(R delta) m), or that
+of the normal.
 """
 
 from __future__ import annotations
@@ -17,13 +22,17 @@ from dataclasses import dataclass
 from kncal.core.errors import RenderError
 from kncal.engines.liggghts.deck_checks import ROUNDING, expect_same, require_law
 from kncal.engines.plan_checks import check_contact, expect
+from kncal.physics.laws import LAWS
 from kncal.physics.material import Material, pair, wall_pair
+from kncal.physics.tangential import TANGENTIAL_DAMPING
 from kncal.scene.bodies import Particle
 from kncal.scene.model import PairContact
 from kncal.scene.species import SpeciesTable
 
 #: Normal models of LIGGGHTS, and the kind of contact that each is made from.
-STYLES: Mapping[str, str] = {"hooke/stiffness": "linear", "hooke": "linear", "hertz": "hertz"}
+STYLES: Mapping[str, str] = {
+    "hooke/stiffness": "linear", "hooke": "linear", "hertz": "hertz", "hertz/stiffness": "hertz",
+}  # fmt: skip
 #: The linear law as a normal model of its own; "hooke" makes the same law of other numbers.
 LINEAR = "hooke/stiffness"
 #: LIGGGHTS refuses a coefficientRestitution of 0.05 and below.
@@ -79,6 +88,12 @@ def atom_types(species: SpeciesTable) -> list[AtomType]:
     ]
 
 
+def hertz_style(contacts: Iterable[PairContact]) -> str:
+    """Return the normal model of Hertz contacts: that of their law; "hertz", which says what it is, for another law."""
+    names = {law.liggghts for c in contacts if (law := LAWS.get(c.law)) is not None}
+    return names.pop() if len(names) == 1 and names <= set(STYLES) else "hertz"
+
+
 def contact_context(
     where: str,
     types: Sequence[AtomType],
@@ -110,23 +125,26 @@ def contact_context(
     RenderError
         If a number is out of its range, or LIGGGHTS would make another contact of these.
     """
-    ends = {c.end for c in contacts.values()}
-    expect(
-        len(ends) <= 1,
-        where,
-        f"contacts end at {' and '.join(sorted(ends))}",
-        "one contact.end: LIGGGHTS has one limitForce for all of them",
-    )
     expect(bool(contacts), where, "no contact to take numbers from", "a contact for every two types that meet")
+    end = _one(where, "contact.end", "limitForce", (c.end for c in contacts.values()))
+    rolling = [c.rolling_model for c in contacts.values() if c.rolling_friction > 0.0]
     law = _Law(
         style=style,
         tangential=tangential,
-        rolling=any(c.rolling_friction > 0.0 for c in contacts.values()),
+        damped=tangential and any(c.c_t > 0.0 for c in contacts.values()),
+        rolling=_one(where, "contact.rolling_model", "rolling_friction", rolling) if rolling else "",
+        cohesion=any(c.cohesion > 0.0 for c in contacts.values()),
         absolute=absolute,
         velocity=_characteristic_velocity(where, contacts.values()) if style == "hooke" else math.nan,
     )
+    expect(
+        tangential or law.rolling in ("", "cdt"),
+        where,
+        f"rolling_model = {law.rolling!r} without tangential springs",
+        'rolling_model = "cdt", or friction: LIGGGHTS has its rolling springs beside tangential ones only',
+    )
     columns, lacking = _columns(types, contacts, unmet or {}, law)
-    elastic = _elastic(types) if style != "hooke/stiffness" else {}
+    elastic = _elastic(types) if not style.endswith("/stiffness") else {}
     properties = [_property(name, "peratomtype", [values]) for name, values in elastic.items()]
     if style == "hooke":
         properties.append(_property("characteristicVelocity", "scalar", [[law.velocity]]))
@@ -134,8 +152,8 @@ def contact_context(
     for name, column in columns.items():
         filler = max(column.values())
         rows = [[column.get((min(i, j), max(i, j)), filler) for j in every] for i in every]
-        properties.append(_property(name, "peratomtypepair", rows))
-    force_end = "force" in ends
+        properties.append(_property(name, "peratomtypepair", rows, style))
+    force_end = end == "force"
     hooke_switch = ""
     if style == "hooke" and tangential:
         hooke_switch = _hooke_switch(where, contacts, ROUNDING if absolute else _FEW_DIGITS)
@@ -143,8 +161,11 @@ def contact_context(
         "limitForce on": force_end,
         "absolute_damping on": style == "hooke/stiffness" and absolute,
         hooke_switch: bool(hooke_switch),
-        "tangential_damping off": tangential,
+        "tangential_damping off": tangential and not law.damped,
     }
+    selectors = [style, f"tangential {'history' if tangential else 'off'}"]
+    selectors += ["cohesion sjkr"] if law.cohesion else []
+    selectors += [f"rolling_friction {law.rolling}"] if law.rolling else []
     return {
         "types": [
             {"name": t.name, "role": "walls" if t.is_wall else "particles", "bodies": list(t.bodies)} for t in types
@@ -155,8 +176,7 @@ def contact_context(
         "properties": properties,
         "tangential": tangential,
         "force_end": force_end,
-        "selectors": f"{style} tangential {'history' if tangential else 'off'}"
-        + (" rolling_friction cdt" if law.rolling else ""),
+        "selectors": " ".join(selectors),
         "switches": " ".join(word for word, wanted in switches.items() if wanted),
     }
 
@@ -167,9 +187,18 @@ class _Law:
 
     style: str
     tangential: bool
-    rolling: bool
+    damped: bool
+    rolling: str
+    cohesion: bool
     absolute: bool
     velocity: float
+
+
+def _one(where: str, key: str, word: str, values: Iterable[str]) -> str:
+    """The one value of all contacts."""
+    found = sorted(set(values))
+    expect(len(found) == 1, where, f"{key}: {' and '.join(found)}", f"one: LIGGGHTS has one {word} for all contacts")
+    return found[0]
 
 
 def _columns(
@@ -192,12 +221,14 @@ def _numbers(one: AtomType, other: AtomType, c: PairContact, law: _Law) -> dict[
     names = (one.name, one.bodies[1] if one is other and len(one.bodies) > 1 else other.name)
     check_contact(names, c)
     found = _NUMBERS[law.style](names, c, one, other, law)
-    if law.style == "hertz" and law.tangential:
-        expect_same(names, "k_t", c.k_t, 8.0 * c.G_eff * math.sqrt(c.R_eff), "Mindlin stiffness 8 G_eff sqrt(R_eff)")
     if law.tangential:
         found["coefficientFriction"] = c.friction
     if law.rolling:
         found["coefficientRollingFriction"] = c.rolling_friction
+    if law.rolling == "epsd":
+        found["coefficientRollingViscousDamping"] = c.rolling_damping
+    if law.cohesion:
+        found["cohesionEnergyDensity"] = c.cohesion
     return found
 
 
@@ -247,8 +278,24 @@ def _restitution(contact: PairContact, names: Names, b: float) -> float:
 
 def _linear_numbers(names: Names, c: PairContact, one: AtomType, other: AtomType, law: _Law) -> dict[str, float]:
     require_law(names, c, LINEAR)
-    damping = {"gamman_abs": c.c, "gammat_abs": 0.0} if law.absolute else {"gamman": c.c / c.m_eff, "gammat": 0.0}
-    return {"kn": c.k, "kt": c.k_t if law.tangential else 0.0} | damping
+    k_t, c_t = (c.k_t, c.c_t) if law.tangential else (0.0, 0.0)
+    if law.absolute:
+        return {"kn": c.k, "kt": k_t, "gamman_abs": c.c, "gammat_abs": c_t}
+    return {"kn": c.k, "kt": k_t, "gamman": c.c / c.m_eff, "gammat": c_t / c.m_eff}
+
+
+def _root_numbers(names: Names, c: PairContact, one: AtomType, other: AtomType, law: _Law) -> dict[str, float]:
+    require_law(names, c, law.style)
+    k_t, c_t = (c.k_t, c.c_t) if law.tangential else (0.0, 0.0)
+    root, m = math.sqrt(c.R_eff), c.m_eff
+    return {"kn": c.k / root, "kt": k_t / root, "gamman": c.c / (m * root), "gammat": c_t / (m * root)}
+
+
+def _expect_damping(names: Names, c: PairContact, law: _Law, own: float) -> None:
+    """Refuse another tangential damping than the model's own."""
+    if law.damped and c.friction > 0.0:
+        meaning = f"tangential damping of LIGGGHTS' model {law.style}"
+        expect_same(names, "c_t", c.c_t, own, f'{meaning} (tangential_damping = "liggghts")')
 
 
 def _hertz_numbers(names: Names, c: PairContact, one: AtomType, other: AtomType, law: _Law) -> dict[str, float]:
@@ -256,6 +303,9 @@ def _hertz_numbers(names: Names, c: PairContact, one: AtomType, other: AtomType,
     _check_elastic(names, c, one, other)
     k_h = 4.0 / 3.0 * c.E_eff * math.sqrt(c.R_eff)
     expect_same(names, "k", c.k, k_h, "Hertz stiffness (4/3) E_eff sqrt(R_eff)")
+    if law.tangential:
+        expect_same(names, "k_t", c.k_t, 8.0 * c.G_eff * math.sqrt(c.R_eff), "Mindlin stiffness 8 G_eff sqrt(R_eff)")
+    _expect_damping(names, c, law, TANGENTIAL_DAMPING["liggghts"](c.c, c.n, c.k, c.k_t))
     return {"coefficientRestitution": tsuji_restitution(c, names)}
 
 
@@ -266,12 +316,14 @@ def _hooke_numbers(names: Names, c: PairContact, one: AtomType, other: AtomType,
     k = 16.0 / 15.0 * stiff * (15.0 * c.m_eff * law.velocity**2 / (16.0 * stiff)) ** 0.2
     meaning = "stiffness that LIGGGHTS' hooke model finds by strain energy"
     expect_same(names, "k", c.k, k, f"{meaning}: take the method strain_energy, or the style hooke/stiffness")
+    _expect_damping(names, c, law, c.c)
     return {"coefficientRestitution": spring_restitution(c, names)}
 
 
 _Numbers = Callable[[Names, PairContact, AtomType, AtomType, _Law], dict[str, float]]
 _NUMBERS: Mapping[str, _Numbers] = {
     "hooke/stiffness": _linear_numbers,
+    "hertz/stiffness": _root_numbers,
     "hertz": _hertz_numbers,
     "hooke": _hooke_numbers,
 }
@@ -329,13 +381,25 @@ _COMMENTS = {
     "kn": "normal stiffness k_n [N/m]",
     "kt": "tangential stiffness k_t [N/m]",
     "gamman_abs": "normal damping coefficient eta_n [N s/m]",
-    "gammat_abs": "tangential damping [N s/m]: none, energy is lost by sliding alone",
+    "gammat_abs": "tangential damping coefficient, of a contact that sticks [N s/m]",
     "gamman": "normal damping per effective mass, eta_n/m_eff [1/s]",
-    "gammat": "tangential damping [1/s]: none (tangential_damping off), energy is lost by sliding alone",
+    "gammat": "tangential damping per effective mass, of a contact that sticks [1/s]",
     "coefficientFriction": "Coulomb friction [-]",
     "coefficientRollingFriction": "rolling friction [-]",
+    "coefficientRollingViscousDamping": "damping of the spring against rolling, as a share of the critical one [-]",
+    "cohesionEnergyDensity": "cohesion energy density [J/m3]",
 }
 
 
-def _property(name: str, per: str, rows: list[list[float]]) -> Entry:
-    return {"name": name, "per": per, "rows": rows, "comment": _COMMENTS[name]}
+#: The numbers of hertz/stiffness stand beside sqrt(R delta).
+_OF_ROOT = {
+    "kn": "normal stiffness k_h/sqrt(R_eff) [Pa]",
+    "kt": "tangential stiffness 8 G_eff [Pa]",
+    "gamman": "normal damping per effective mass, c/(m_eff sqrt(R_eff)) [1/(m s)]",
+    "gammat": "tangential damping, likewise [1/(m s)]",
+}
+
+
+def _property(name: str, per: str, rows: list[list[float]], style: str = "") -> Entry:
+    comments = _COMMENTS | _OF_ROOT if style == "hertz/stiffness" else _COMMENTS
+    return {"name": name, "per": per, "rows": rows, "comment": comments[name]}

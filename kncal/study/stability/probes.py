@@ -46,6 +46,8 @@ DIRECTIONS: dict[int, tuple[Vector, ...]] = {
     # the nearest neighbours in the fcc lattice: they touch one another, too
     12: tuple((x, y, z) for x, y, z in product(_SIGNS, repeat=3) if abs(x) + abs(y) + abs(z) == 2.0),
 }
+#: What the probes leave out of a contact.
+_SMOOTH = ("friction", "rolling_friction", "cohesion_energy_density")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,7 +104,7 @@ def ingredients(case: Scene) -> Ingredients:
         notes += (
             f"the probes are made of the first particle and the first wall: nothing is said of {', '.join(others)}",
         )
-    left_out = [what for what in ("friction", "rolling_friction") if getattr(contact, what) > 0.0]
+    left_out = [what for what in _SMOOTH if getattr(contact, what) > 0.0]
     if left_out:
         notes += (f"the probes leave out {' and '.join(left_out)}",)
     return Ingredients(
@@ -110,7 +112,9 @@ def ingredients(case: Scene) -> Ingredients:
         material=material,
         radius=radius,
         wall=wall,
-        contact=replace(contact, v_0=speed, friction=0.0, rolling_friction=0.0, pairs=pairs),
+        contact=replace(
+            contact, v_0=speed, pairs=pairs, friction=0.0, rolling_friction=0.0, cohesion_energy_density=0.0
+        ),
         steps_per_contact=case.run.steps_per_contact,
         notes=notes,
     )
@@ -129,7 +133,9 @@ def _exceptions(
         one, two = (names.get(name, name) for name in choice.between)
         # of one material, particle and wall cannot be told apart by it
         if {one, two} <= known and (len(known) > 1 or choice.between == (one, two)):
-            kept.append(replace(choice, between=(one, two), friction=None))
+            kept.append(
+                replace(choice, between=(one, two), friction=None, rolling_friction=None, cohesion_energy_density=None)
+            )
         else:
             left.append("–".join(choice.between))
     kept = [c for c in kept if any(v is not None for v in (c.e_n, c.v_0, c.k_n))]

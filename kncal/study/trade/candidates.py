@@ -149,9 +149,8 @@ def softened(case: str | Path, scene: Scene, unsoftened: Plan, factor: float, st
         bodies = map(species.bodies, wanted) if scene.coupled else scene.body_pairs()
         for a, b in bodies:
             numbers = pair_choice(scene, a, b)
-            row = {"e_n": numbers.e_n, "friction": numbers.friction, "v_0": numbers.v_0}
-            k_n = wanted[species.pair_of((a.name, b.name))]
-            rows.append({"between": [a.name, b.name], **{k: v for k, v in row.items() if v is not None}, "k_n": k_n})
+            row = {key: value for key, value in numbers._asdict().items() if value is not None}
+            rows.append({"between": [a.name, b.name], **row, "k_n": wanted[species.pair_of((a.name, b.name))]})
         changes["contact.pairs"] = rows
     try:
         load_case(case, overrides=texts(changes))

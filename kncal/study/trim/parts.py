@@ -68,7 +68,8 @@ def _friction(name: str, text: str) -> Callable[[Scene, str], Iterator[Part]]:
     def find(scene: Scene, _: str) -> Iterator[Part]:
         contact, needs = scene.contact, decide(scene)
         frictions = [contact.friction, *(c.friction for c in contact.pairs if c.friction is not None)]
-        coefficients = {"tangential": max(frictions), "rolling": contact.rolling_friction}
+        rollings = [contact.rolling_friction, *(c.rolling_friction or 0.0 for c in contact.pairs)]
+        coefficients = {"tangential": max(frictions), "rolling": max(rollings)}
         if coefficients[name] == 0.0:
             yield _not(name, text, "its coefficient is 0 in every contact")
         elif needs.uses(name):  # without the tangential spring nothing is set rolling, so rolling friction goes with it
@@ -91,6 +92,27 @@ def _damping(scene: Scene, _: str) -> Iterator[Part]:
     changes = {f"contact.pairs.{i}.e_n": 1.0 for i in rows}
     changes |= {"contact.e_n": 1.0} if contact.e_n != 1.0 else {}
     yield _part("damping", text, OFF, "e_n = 1 in every contact", changes)
+
+
+def _tangential_damping(scene: Scene, _: str) -> Iterator[Part]:
+    name, text, key = "tangential_damping", "tangential damping", "contact.tangential_damping"
+    needs = decide(scene)
+    if needs.uses(name):
+        yield _part(name, text, OFF, f"without {text}", {key: "none"})
+    elif needs.uses("tangential") and needs.uses("damping"):
+        yield _part(name, text, ON, f"{text} as in LIGGGHTS", {key: "liggghts"})
+    else:
+        yield _not(name, text, "there is no tangential force, or no damping")
+
+
+def _cohesion(scene: Scene, _: str) -> Iterator[Part]:
+    key, contact = "cohesion_energy_density", scene.contact
+    rows = [i for i, choice in enumerate(contact.pairs) if choice.cohesion_energy_density]
+    if contact.cohesion_energy_density == 0.0 and not rows:
+        yield _not("cohesion", "cohesion", "its energy density is 0 in every contact")
+        return
+    changes: Changes = {f"contact.pairs.{i}.{key}": 0.0 for i in rows} | {f"contact.{key}": 0.0}
+    yield _part("cohesion", "cohesion", OFF, "without cohesion", changes)
 
 
 def _contact_model(_: Scene, model: str) -> Iterator[Part]:
@@ -224,6 +246,8 @@ PARTS = Registry(
     PartKind,
     PartKind(name="tangential", find=_friction("tangential", "tangential spring and friction")),
     PartKind(name="rolling", find=_friction("rolling", "rolling friction")),
+    PartKind(name="tangential_damping", find=_tangential_damping),
+    PartKind(name="cohesion", find=_cohesion),
     PartKind(name="damping", find=_damping),
     PartKind(name="contact_model", find=_contact_model),
     PartKind(name="walls", find=_walls, coupled=False),
