@@ -11,11 +11,12 @@ from kncal.core.checks import Array
 from kncal.physics.impact import dimensionless_impact
 from kncal.physics.material import Material, pair, wall_pair
 from kncal.physics.timestep import contact_time
+from kncal.scene.contact import ContactChoice
 from kncal.scene.groups import Particles
 from kncal.scene.model import PairContact, Plan
 from kncal.scene.needs import decide
 from kncal.scene.run_control import RunControl
-from kncal.scene.scene import ContactChoice, MaterialData, Scene
+from kncal.scene.scene import MaterialData, Scene
 from kncal.scene.walls import BoxWall
 
 D, G = 1.2e-3, 9.81

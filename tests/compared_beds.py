@@ -15,11 +15,12 @@ from kncal.physics.material import Material
 from kncal.record.facts import bed_facts
 from kncal.record.outcome import RunResult
 from kncal.record.series import BedSeries
+from kncal.scene.contact import ContactChoice
 from kncal.scene.gas import Gas
 from kncal.scene.groups import Particles
 from kncal.scene.plan import plan
 from kncal.scene.run_control import RunControl
-from kncal.scene.scene import ContactChoice, MaterialData, Scene
+from kncal.scene.scene import MaterialData, Scene
 from kncal.scene.walls import BoxWall
 
 Floats = NDArray[np.float64]

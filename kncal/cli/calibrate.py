@@ -19,7 +19,8 @@ from kncal.core.errors import InputError
 if TYPE_CHECKING:
     from kncal.physics.material import Pair
     from kncal.scene.bodies import Body, Particle
-    from kncal.scene.scene import ContactChoice, Scene
+    from kncal.scene.contact import ContactChoice
+    from kncal.scene.scene import Scene
 
 #: A block of more characters is for a file, not for a terminal: a dozen atom types.
 _LONG_BLOCK = 20_000

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from kncal.physics.uncertainty import Distribution, Propagation
     from kncal.runs.impact_speeds import RunSpeeds
     from kncal.scene.bodies import Body, Particle
-    from kncal.scene.scene import ContactChoice
+    from kncal.scene.contact import ContactChoice
 
 FromRun = Annotated[
     Path | None,

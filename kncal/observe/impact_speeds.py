@@ -23,8 +23,8 @@ from kncal.observe.signals import rows_from
 from kncal.physics.material import Pair
 from kncal.physics.statistics import Average, Interval, average
 from kncal.record.series import BedSeries
+from kncal.scene.contact import ContactChoice
 from kncal.scene.pair_contact import PairNumbers, calibration_for
-from kncal.scene.scene import ContactChoice
 from kncal.scene.species import SpeciesPair
 
 if TYPE_CHECKING:

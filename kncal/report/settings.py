@@ -9,10 +9,10 @@ from kncal.core.units import percent, quantity
 from kncal.physics.drag import DRAGS
 from kncal.physics.methods import METHODS
 from kncal.report.page import Table
+from kncal.scene.contact import ContactChoice
 from kncal.scene.gas import Gas
 from kncal.scene.model import Plan
 from kncal.scene.pair_contact import bond_number
-from kncal.scene.scene import ContactChoice
 
 _DEPTHS = {
     "walls": "walls in front and at the back",

@@ -21,9 +21,10 @@ from kncal.report.speeds import plot_impact_speeds
 from kncal.runs.folder import MEASURING, refuse_foreign
 from kncal.runs.impact_speeds import RunSpeeds, run_speeds
 from kncal.runs.workflow import require_completed, run_case
+from kncal.scene.contact import MeasuredSpeed
 from kncal.scene.pair_contact import calibration_for
 from kncal.scene.plan import first_impact_speed
-from kncal.scene.scene import MeasuredSpeed, Scene
+from kncal.scene.scene import Scene
 
 RECORD, PICTURE = "measured.json", "impact_speeds.png"
 _LONGEST_TITLE = 300

@@ -19,13 +19,14 @@ from kncal.physics.statistics import MIN_SAMPLES
 from kncal.scene.bodies import AXES, RIGID
 from kncal.scene.box_checks import in_box
 from kncal.scene.case_text import toml_value
+from kncal.scene.contact import PairChoice
 from kncal.scene.granular_checks import granular
 from kncal.scene.groups import ObserveChoice
 from kncal.scene.metrics import COUPLED, FEW_PARTICLES, METRICS, offered, split_metric
 from kncal.scene.needs import OVERRULABLE
 from kncal.scene.placement import PLACEMENTS
 from kncal.scene.problem import Path, Problem, first_speed, interval, known_name, one_of_two
-from kncal.scene.scene import MOST_SINGLE, PairChoice, Scene
+from kncal.scene.scene import MOST_SINGLE, Scene
 from kncal.scene.values import NAME
 from kncal.scene.walls import BoxWall, PlaneWall
 

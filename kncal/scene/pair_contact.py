@@ -17,8 +17,8 @@ from kncal.physics.material import Pair, sphere_mass
 from kncal.physics.tangential import TANGENTIAL_DAMPING
 from kncal.physics.timestep import contact_time
 from kncal.scene.bodies import Body, Particle
+from kncal.scene.contact import ContactChoice, PairChoice
 from kncal.scene.model import PairContact
-from kncal.scene.scene import ContactChoice, PairChoice
 
 #: Relative difference of the overlaps, and so of the areas of cohesion, of the two contacts that is worth a word.
 COHESION_AREA = 0.1

@@ -7,12 +7,12 @@ The classes are the schema of a case file: each is a table of it, and each field
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import field as stdlib_field
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import Field
@@ -21,6 +21,7 @@ from kncal.core.checks import Array
 from kncal.core.errors import CaseFileError, InputError
 from kncal.physics.material import RANGES, Material
 from kncal.scene.bodies import AXES, RIGID, Axis, Body, Particle, Vector, Wall
+from kncal.scene.contact import ContactChoice, PairChoice
 from kncal.scene.events import Event, events_of
 from kncal.scene.extent import Bounds, bounds_of, extent_of
 from kncal.scene.gas import Gas
@@ -31,28 +32,18 @@ from kncal.scene.sizes import Classes, classes, counts
 from kncal.scene.values import (
     Acceleration,
     Cells,
-    Cohesion,
     Flag,
-    Friction,
     Name,
     Number,
-    Option,
-    Restitution,
-    Seconds,
-    Share,
-    Speed,
-    Stiffness,
     Text,
     Tolerance,
-    Whole,
     Word,
     checked_class,
-    within,
 )
 from kncal.scene.walls import WALLS, AnyWall, BoxWall, MeshWall, PlaneWall
 
-#: Most walls, outlets and exceptions of a scene.
-MOST_WALLS, MOST_OUTLETS, MOST_PAIRS = 20, 10, 200
+#: Most walls and outlets of a scene.
+MOST_WALLS, MOST_OUTLETS = 20, 10
 #: Particles of which each may touch each; every pair is planned and observed.
 MOST_SINGLE = 100
 #: Parcels that may share a particle's volume.
@@ -73,90 +64,6 @@ class MaterialData:
     poisson: Number = Field(description="Poisson's ratio [-]")
     density: Number = Field(description="density [kg/m³]")
     yield_strength: Number | None = Field(default=None, description="yield strength [Pa]")
-
-
-@checked_class
-class PairChoice:
-    """``[[contact.pairs]]``: what differs for one pair."""
-
-    between: tuple[Name, Name] = Field(description="two names of particles, walls or materials")
-    e_n: Restitution | None = Field(default=None, description="normal restitution [-]")
-    friction: Friction | None = Field(default=None, description="Coulomb friction coefficient [-]")
-    v_0: Speed | None = Field(default=None, description="impact speed to calibrate at [m/s]")
-    k_n: Stiffness | None = Field(default=None, description="prescribed linear stiffness [N/m]")
-    rolling_friction: Friction | None = Field(default=None, description="rolling friction coefficient [-]")
-    cohesion_energy_density: Cohesion | None = Field(default=None, description="cohesion energy density [J/m³]")
-
-
-@checked_class
-class MeasuredSpeed:
-    """``[contact.measured]``: how the speed is measured with ``v_0 = "measured"`` (`kncal.runs.measure_speed`)."""
-
-    statistic: Literal["energy_weighted", "mean", "p99"] = Field(
-        default="energy_weighted", description='of the impact speeds: "energy_weighted" mean, "mean" or "p99"'
-    )
-    start: Speed | None = Field(default=None, description="first guess of v_0 [m/s]; none: the first impact's")
-    run_time: Seconds | None = Field(
-        default=None, description="end time of a measuring round [s]; none: as the case runs"
-    )
-    tolerance: Share = Field(default=0.02, description="relative change of k_n below which it has settled [-]")
-    rounds: Annotated[Whole, within(1, 50)] = Field(default=6, description="most rounds")
-
-
-@checked_class
-class ContactChoice:
-    """``[contact]``: the reference contact law and how its linear counterpart is found.
-
-    ``measured`` is there where the case says ``v_0 = "measured"``: such a scene has no numbers before
-    `kncal.runs.measure_speed.resolve_measured` puts a speed in its place. Of ``pairs`` the first match counts.
-    """
-
-    law: Word = Field(default="tsuji", description="reference contact law")
-    e_n: Restitution = Field(default=1.0, description="normal restitution [-]")
-    end: Literal["overlap", "force"] = Field(default="overlap", description='contact end: "overlap" or "force"')
-    method: Word = Field(default="mean_overlap", description="how k_n is found")
-    v_0: Speed | None = Field(
-        default=None, description='impact speed to calibrate at [m/s], or "measured"; none: the first impact\'s'
-    )
-    measured: MeasuredSpeed | None = Field(default=None, description='[contact.measured], for v_0 = "measured"')
-    k_n: Stiffness | None = Field(default=None, description="prescribed linear stiffness [N/m], in place of a method")
-    friction: Friction = Field(default=0.0, description="Coulomb friction coefficient [-]")
-    k_t_ratio: Annotated[Number, within(0.0, 10.0)] | None = Field(
-        default=None, description="k_t/k_n of the linear contact [-]; none: the Mindlin ratio of the pair"
-    )
-    tangential_damping: Literal["none", "liggghts", "half_normal"] = Field(
-        default="none",
-        description='of a contact that sticks: "none", "liggghts" (the damping ratio of the normal direction) or '
-        '"half_normal" (half of the normal coefficient, as MFIX)',
-    )
-    rolling_friction: Friction = Field(default=0.0, description="rolling friction coefficient [-]")
-    rolling_model: Literal["cdt", "epsd", "epsd2"] = Field(
-        default="cdt",
-        description='"cdt" (a torque of constant size against the spin), "epsd" or "epsd2" (a spring that yields)',
-    )
-    rolling_damping: Annotated[Number, within(0.0, 10.0)] = Field(
-        default=0.0, description='damping of the spring of "epsd", as a share of the critical one [-]'
-    )
-    cohesion_energy_density: Cohesion = Field(
-        default=0.0, description="attraction per contact area (sjkr) [J/m³]; 0: none"
-    )
-    cohesion_keeps: Literal["density", "force"] = Field(
-        default="density",
-        description='what the linear contact has in common with Hertz: the energy "density", or the "force" of '
-        "cohesion at the largest overlap of an impact at v_0",
-    )
-    options: dict[Name, Option] = Field(default_factory=dict, description="options of the method")
-    pairs: Annotated[tuple[PairChoice, ...], Field(max_length=MOST_PAIRS)] = Field(
-        default=(), description="exceptions for single pairs"
-    )
-
-    def exception(self, names_a: Container[str], names_b: Container[str]) -> PairChoice | None:
-        """Return the first exception that names both bodies, each known by several names, or None."""
-        for choice in self.pairs:
-            one, two = choice.between
-            if (one in names_a and two in names_b) or (two in names_a and one in names_b):
-                return choice
-        return None
 
 
 @checked_class

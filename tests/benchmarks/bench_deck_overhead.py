@@ -20,10 +20,11 @@ from kncal.engines.liggghts.batch import Liggghts
 from kncal.physics.material import Material
 from kncal.scene.bodies import Particle, Wall
 from kncal.scene.case_file import load_case
+from kncal.scene.contact import ContactChoice
 from kncal.scene.model import Plan
 from kncal.scene.plan import plan
 from kncal.scene.run_control import RunControl
-from kncal.scene.scene import ContactChoice, Scene
+from kncal.scene.scene import Scene
 
 GLASS = Material(young=7e10, poisson=0.22, density=2500.0, name="glass")
 

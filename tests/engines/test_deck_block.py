@@ -14,8 +14,9 @@ from kncal.engines.liggghts.deck_block import case_block, liggghts_block
 from kncal.engines.liggghts.deck_tables import AtomType
 from kncal.scene.bodies import Particle, Wall
 from kncal.scene.case_file import load_case
+from kncal.scene.contact import ContactChoice, PairChoice
 from kncal.scene.plan import plan
-from kncal.scene.scene import ContactChoice, PairChoice, Scene
+from kncal.scene.scene import Scene
 
 GLASS = Material(young=7e9, poisson=0.22, density=2500.0, name="glass")
 STEEL = Material(young=2.1e11, poisson=0.3, density=7800.0, name="steel")

@@ -17,10 +17,10 @@ from kncal.core.checks import Array
 from kncal.core.errors import InputError, RenderError
 from kncal.engines.liggghts.deck import bed_deck, deck_text
 from kncal.engines.liggghts.library import LOG, LiggghtsDem
+from kncal.scene.contact import ContactChoice
 from kncal.scene.groups import AT_REST
 from kncal.scene.model import KINDS, Plan
 from kncal.scene.placement import lattice
-from kncal.scene.scene import ContactChoice
 
 solver = pytest.mark.solver
 ROUGH = ContactChoice(e_n=0.8, friction=0.3, rolling_friction=0.02)

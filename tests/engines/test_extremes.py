@@ -24,13 +24,14 @@ from kncal.runs.solving import plan_checked
 from kncal.runs.workflow import load, run_case
 from kncal.scene.bodies import Particle, Wall
 from kncal.scene.case_file import load_case, parse_case
+from kncal.scene.contact import ContactChoice
 from kncal.scene.contact_limits import overlap_at
 from kncal.scene.finding import Finding
 from kncal.scene.limits import check, warnings_of
 from kncal.scene.model import Plan
 from kncal.scene.plan import plan
 from kncal.scene.run_control import RunControl
-from kncal.scene.scene import ContactChoice, Scene
+from kncal.scene.scene import Scene
 from kncal.study.stability.outcome import Outcome, judge
 from kncal.study.stability.probes import at_step, impact_of_cluster, ingredients, pressed
 

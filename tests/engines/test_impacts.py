@@ -15,10 +15,10 @@ from kncal.core.checks import Array
 from kncal.engines.liggghts.impacts import Before, count_speeds, pair_speeds, speed_edges, wall_speeds
 from kncal.engines.liggghts.library import LiggghtsDem
 from kncal.engines.liggghts.library_child import WATCH_EVERY
+from kncal.scene.contact import ContactChoice
 from kncal.scene.groups import AT_REST
 from kncal.scene.model import KINDS
 from kncal.scene.placement import lattice
-from kncal.scene.scene import ContactChoice
 
 solver = pytest.mark.solver
 SMOOTH, ELASTIC = ContactChoice(e_n=0.9), ContactChoice(e_n=1.0)

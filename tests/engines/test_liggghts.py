@@ -15,10 +15,11 @@ from kncal.physics.material import Material, sphere_mass
 from kncal.record.frames import Trajectory
 from kncal.record.liggghts_dump import read_dump
 from kncal.scene.bodies import Particle, Wall
+from kncal.scene.contact import ContactChoice, PairChoice
 from kncal.scene.model import KINDS, PairContact, Plan
 from kncal.scene.plan import plan
 from kncal.scene.run_control import RunControl
-from kncal.scene.scene import ContactChoice, PairChoice, Scene
+from kncal.scene.scene import Scene
 
 pytestmark = pytest.mark.solver
 

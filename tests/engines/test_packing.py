@@ -20,9 +20,9 @@ from kncal.core.errors import InputError, RunError
 from kncal.engines import settle as packing_module
 from kncal.engines.liggghts.library import LiggghtsDem
 from kncal.engines.settle import packing
+from kncal.scene.contact import ContactChoice
 from kncal.scene.groups import AT_REST
 from kncal.scene.placement import PLACEMENTS, lattice
-from kncal.scene.scene import ContactChoice
 
 solver = pytest.mark.solver
 #: What bounds a box in y, as fields of a scene.

@@ -23,10 +23,11 @@ from kncal.core.templating import NAME_PATTERN, checked_name, integer, number, r
 from kncal.engines.liggghts.batch import Liggghts
 from kncal.physics.material import Material, pair
 from kncal.scene.bodies import Particle, Vector, Wall
+from kncal.scene.contact import ContactChoice, PairChoice
 from kncal.scene.model import Plan
 from kncal.scene.plan import plan
 from kncal.scene.run_control import RunControl
-from kncal.scene.scene import ContactChoice, PairChoice, Scene
+from kncal.scene.scene import Scene
 
 GLASS = Material(young=5e7, poisson=0.25, density=2500.0, name="glass")
 STEEL = Material(young=2e11, poisson=0.3, density=7800.0, name="steel")

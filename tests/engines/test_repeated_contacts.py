@@ -7,9 +7,10 @@ from kncal.engines.registry import get_engine
 from kncal.observe.contacts import observe
 from kncal.physics.material import Material
 from kncal.scene.bodies import Particle, Wall
+from kncal.scene.contact import ContactChoice
 from kncal.scene.plan import plan
 from kncal.scene.run_control import RunControl
-from kncal.scene.scene import ContactChoice, Scene
+from kncal.scene.scene import Scene
 
 SOFT = Material(young=1e7, poisson=0.3, density=2500.0, name="soft")
 SHAKEN = Scene.of(

@@ -13,9 +13,10 @@ from kncal import calibrate, pair, wall_pair
 from kncal.engines.liggghts.batch import Liggghts
 from kncal.physics.material import Material
 from kncal.scene.bodies import Particle, Wall
+from kncal.scene.contact import ContactChoice, PairChoice
 from kncal.scene.plan import plan
 from kncal.scene.run_control import RunControl
-from kncal.scene.scene import ContactChoice, PairChoice, Scene
+from kncal.scene.scene import Scene
 
 pytestmark = pytest.mark.solver
 

@@ -17,9 +17,10 @@ from kncal.physics.material import Material, sphere_mass, wall_pair
 from kncal.physics.timestep import predict_error
 from kncal.record.frames import Trajectory
 from kncal.scene.bodies import Particle, Wall
+from kncal.scene.contact import ContactChoice, PairChoice
 from kncal.scene.model import KINDS, PairContact, Plan
 from kncal.scene.plan import plan
-from kncal.scene.scene import ContactChoice, PairChoice, RunControl, Scene
+from kncal.scene.scene import RunControl, Scene
 
 pytestmark = pytest.mark.solver
 

@@ -21,9 +21,9 @@ from kncal.observe.impact_speeds import (
 from kncal.physics.material import Material, pair
 from kncal.record.series import BedSeries
 from kncal.report.speeds import plot_impact_speeds
+from kncal.scene.contact import ContactChoice
 from kncal.scene.contact_event import ContactEvent
 from kncal.scene.pair_contact import PairNumbers
-from kncal.scene.scene import ContactChoice
 
 RECORDED = facts(impact_edges=tuple(speed_edges()))
 #: Of p(v) = v/(2 s²) exp(-v²/(4 s²)) with s = 0.1 m/s: mean, E v³/E v², 99th percentile.

@@ -16,10 +16,10 @@ from kncal.observe.softness import secant, signs, sound_speed
 from kncal.physics.impact import dimensionless_impact
 from kncal.runs.workflow import load, run_case
 from kncal.scene.case_file import load_case
+from kncal.scene.contact import ContactChoice
 from kncal.scene.load import bottom_overlaps
 from kncal.scene.model import PairContact
 from kncal.scene.plan import plan
-from kncal.scene.scene import ContactChoice
 
 D, RHO, G = SCENE.diameter, 1000.0, SCENE.g
 MASS = RHO * math.pi / 6.0 * D**3

@@ -20,10 +20,11 @@ from kncal.observe.run_data import RunData
 from kncal.physics.calibration import calibrate
 from kncal.report.comparison import write_report
 from kncal.report.overview import Context, error_table, kn_curves, method_table
+from kncal.scene.contact import ContactChoice
 from kncal.scene.exact import solve
 from kncal.scene.needs import decide
 from kncal.scene.plan import pair_of
-from kncal.scene.scene import ContactChoice, Scene
+from kncal.scene.scene import Scene
 
 HOSTILE = '<img src=x onerror="alert(1)"></script><script>alert(2)</script>'
 CASE = replace(

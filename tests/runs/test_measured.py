@@ -13,8 +13,9 @@ from kncal.core.errors import CaseFileError, RenderError, RunError
 from kncal.runs.impact_speeds import run_speeds
 from kncal.runs.measure_speed import RECORD, resolve_measured
 from kncal.scene.case_file import dump_case, load_case, parse_case
+from kncal.scene.contact import MeasuredSpeed
 from kncal.scene.plan import plan
-from kncal.scene.scene import MeasuredSpeed, Scene
+from kncal.scene.scene import Scene
 
 pytestmark = pytest.mark.slow
 

@@ -15,10 +15,11 @@ from kncal.engines.liggghts.impacts import speed_edges
 from kncal.engines.liggghts.library_child import histogram_edges
 from kncal.physics.timestep import contact_time
 from kncal.scene.case_file import load_case
+from kncal.scene.contact import PairChoice
 from kncal.scene.model import KINDS
 from kncal.scene.needs import BED_PHYSICS, decide
 from kncal.scene.plan import COUPLING_BYTES, pair_of, plan
-from kncal.scene.scene import PairChoice, Scene
+from kncal.scene.scene import Scene
 
 MINI = load_case("bubbling_bed_mini")
 PAIRS = (("beads", "beads"), ("beads", "column"))

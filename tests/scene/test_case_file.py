@@ -16,8 +16,9 @@ from kncal.physics.material import Material
 from kncal.physics.methods import METHODS
 from kncal.scene.bodies import Particle, Wall
 from kncal.scene.case_file import MOST_BYTES, dump_case, load_case, parse_case
+from kncal.scene.contact import ContactChoice, PairChoice
 from kncal.scene.run_control import RunControl
-from kncal.scene.scene import ContactChoice, PairChoice, Scene
+from kncal.scene.scene import Scene
 
 
 def test_values_arrive_in_the_scene() -> None:

@@ -16,9 +16,10 @@ from models import with_bodies
 from kncal.core.errors import InputError
 from kncal.physics.material import Material
 from kncal.scene.bodies import Particle, Vector, Wall
+from kncal.scene.contact import ContactChoice, PairChoice
 from kncal.scene.needs import OVERRULABLE, PHYSICS, decide
 from kncal.scene.run_control import RunControl
-from kncal.scene.scene import ContactChoice, PairChoice, Scene
+from kncal.scene.scene import Scene
 
 GLASS = Material(name="glass", young=70e9, poisson=0.22, density=2500.0)
 FLOOR = Wall(name="floor", axis="z", position=0.0)

@@ -10,9 +10,9 @@ from shipped import SINGLE
 from kncal import CaseFileError, calibrate
 from kncal.scene.ballistics import first_touch, initial_overlap
 from kncal.scene.case_file import load_case
+from kncal.scene.contact import PairChoice
 from kncal.scene.needs import decide
 from kncal.scene.plan import first_impact_speed, pair_choice, pair_of, plan
-from kncal.scene.scene import PairChoice
 
 FALL = load_case("falling_particle")
 OBLIQUE = load_case("oblique_impact")

@@ -10,9 +10,10 @@ from kncal import CaseFileError
 from kncal.physics.material import Material
 from kncal.scene.bodies import Particle, Wall
 from kncal.scene.case_file import load_case
+from kncal.scene.contact import ContactChoice, PairChoice
 from kncal.scene.plan import plan
 from kncal.scene.run_control import RunControl
-from kncal.scene.scene import ContactChoice, PairChoice, Scene
+from kncal.scene.scene import Scene
 from kncal.scene.species import listed, species_of
 
 GLASS = Material(young=5e7, poisson=0.25, density=2500.0, name="glass")

@@ -13,10 +13,11 @@ from kncal.engines.liggghts.deck_tables import STYLES, AtomType, atom_types, con
 from kncal.engines.plan_checks import expect
 from kncal.physics.matrix import PairMatrix
 from kncal.physics.timestep import usual_steps
+from kncal.scene.contact import ContactChoice
 from kncal.scene.model import PairContact
 from kncal.scene.pair_contact import PairNumbers, Rest, pair_contact
 from kncal.scene.plan import species_contacts
-from kncal.scene.scene import ContactChoice, Scene
+from kncal.scene.scene import Scene
 from kncal.scene.species import species_of
 
 Contacts = Mapping[tuple[str, str], PairContact]

@@ -21,10 +21,11 @@ from kncal.core.checks import Array
 from kncal.core.errors import InputError
 from kncal.physics.material import Material
 from kncal.scene.bodies import AXES, Axis, Particle, Vector, Wall
+from kncal.scene.contact import ContactChoice, PairChoice
 from kncal.scene.model import PairContact, Plan
 from kncal.scene.plan import first_impact_speed, plan
 from kncal.scene.run_control import RunControl
-from kncal.scene.scene import ContactChoice, PairChoice, Scene
+from kncal.scene.scene import Scene
 
 #: Overlap of a pressed cluster over the diameter. Small, since squeezed spheres without friction buckle sideways, at
 #: sqrt(overlap/d) of the frequency of the springs; the stiffness of a linear contact does not care.
