@@ -22,6 +22,7 @@ from kncal.record.outcome import RunResult
 from kncal.record.steps import DemStep, GasFields, GasStep
 from kncal.scene.gas import Jet
 from kncal.scene.model import Plan
+from kncal.scene.placement import Start
 from kncal.scene.scene import Depth, Scene
 from kncal.scene.values import (
     Cells,
@@ -89,8 +90,8 @@ class Engine(ABC):
         if scene.coupled:
             raise InputError(f"{scene.name}: the engine {self.name} has no gas; expected the engine coupled")
 
-    def start(self, scene: Any, *, tell: Tell | None = None, progress: Progress | None = None) -> Array | None:
-        """Return where the particles of all plans of a scene start (n, 3) [m]; None: where the scene says."""
+    def start(self, scene: Any, *, tell: Tell | None = None, progress: Progress | None = None) -> Start | None:
+        """Return the particles of all plans of a scene at their start; None: as the scene says."""
         del scene, tell, progress
         return None
 
@@ -99,7 +100,7 @@ class Engine(ABC):
         """Return the command that `run` starts in the run's folder."""
 
     @abstractmethod
-    def render(self, plan: Any, folder: Path, *, start: Array | None = None, by_hand: bool = False) -> None:
+    def render(self, plan: Any, folder: Path, *, start: Start | None = None, by_hand: bool = False) -> None:
         """Write the solver's input for ``plan`` into ``folder`` (exists, empty).
 
         ``start``: from `start`; ``by_hand``: for a person to run, not for `run`.
@@ -116,7 +117,7 @@ class Engine(ABC):
         plan: Any,
         folder: Path,
         *,
-        start: Array | None = None,
+        start: Start | None = None,
         timeout: float | None = None,
         progress: Progress | None = None,
         resume: bool = False,

@@ -45,6 +45,7 @@ from kncal.record.liggghts_log import END_MARKER
 from kncal.record.outcome import RunResult
 from kncal.record.series import PIECES, SERIES, read_series, series_reaches, write_series_csv
 from kncal.scene.model import Plan
+from kncal.scene.placement import Start
 from kncal.scene.scene import Scene
 
 TRANSPORTS = ("auto", "live", "restart")
@@ -166,7 +167,7 @@ class Coupled(Engine):
         if not by_hand:
             check_bed_ranks(scene, self.ranks)
 
-    def start(self, scene: Scene, *, tell: Tell | None = None, progress: Progress | None = None) -> Array:
+    def start(self, scene: Scene, *, tell: Tell | None = None, progress: Progress | None = None) -> Start:
         """Settle the particles, or take them from the cache; see `kncal.engines.settle.start_positions`."""
         return start_positions(scene, tell=tell, progress=progress)
 
@@ -174,7 +175,7 @@ class Coupled(Engine):
         """Return what runs each side by hand; nothing runs both."""
         return (f"./{ALLRUN}",) if by_hand else ()
 
-    def render(self, plan: Plan, folder: Path, *, start: Array | None = None, by_hand: bool = False) -> None:
+    def render(self, plan: Plan, folder: Path, *, start: Start | None = None, by_hand: bool = False) -> None:
         """Write the input of both solvers.
 
         By hand each side runs alone; the exchange between the two, which kncal makes, is not in it.
@@ -184,12 +185,12 @@ class Coupled(Engine):
         RenderError
             If a solver cannot simulate the plan.
         """
-        positions = _given(start)
+        given = _given(start)
         if not by_hand:
-            np.save(folder / POSITIONS, positions, allow_pickle=False)
+            np.save(folder / POSITIONS, given.x, allow_pickle=False)
         if _moves(plan.scene):
             (folder / PARTICLES).mkdir()
-            write_deck(bed_deck(plan, positions), folder / PARTICLES, steps=plan.n_steps if by_hand else 0)
+            write_deck(bed_deck(plan, given), folder / PARTICLES, steps=plan.n_steps if by_hand else 0)
         if (setup := gas_setup(plan)) is not None:
             case = folder / GAS
             if by_hand:
@@ -219,7 +220,7 @@ class Coupled(Engine):
         plan: Plan,
         folder: Path,
         *,
-        start: Array | None = None,
+        start: Start | None = None,
         timeout: float | None = None,
         progress: Progress | None = None,
         resume: bool = False,
@@ -264,16 +265,16 @@ class Coupled(Engine):
         return RestartGas(setup, folder / GAS, ranks=self.ranks, oversubscribe=self.oversubscribe, pass_fds=pass_fds)
 
 
-def _given(start: Array | None) -> Array:
-    return np.zeros((0, 3)) if start is None else start
+def _given(start: Start | None) -> Start:
+    return Start.at(np.zeros((0, 3))) if start is None else start
 
 
 def _particles(
-    plan: Plan, folder: Path, start: Array, first: int, state: Path | None, pass_fds: Sequence[int]
+    plan: Plan, folder: Path, start: Start, first: int, state: Path | None, pass_fds: Sequence[int]
 ) -> ParticleSolver:
     """Start the particles at ``start``, or at the ``state`` after coupling ``first``."""
     if not _moves(plan.scene):
-        return Still(start, plan.scene.diameter)
+        return Still(start.x, plan.scene.diameter)
     at = None if state is None else state / PARTICLES
     particles = LiggghtsDem(plan, folder / PARTICLES, None if at else start, restart=at, pass_fds=pass_fds)
     if at is not None and particles.step != first * plan.steps_per_coupling:

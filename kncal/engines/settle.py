@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import logging
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from datetime import timedelta
 from functools import partial
@@ -28,10 +29,12 @@ from kncal.engines.base import Progress, Tell
 from kncal.engines.liggghts.deck import bed_deck, data_text, deck_text
 from kncal.engines.liggghts.library import LiggghtsDem
 from kncal.scene.box_limits import places
+from kncal.scene.groups import AT_REST
 from kncal.scene.model import Plan
-from kncal.scene.placement import PLACEMENTS
+from kncal.scene.placement import Start
 from kncal.scene.plan import MOST_STEPS, plan
 from kncal.scene.scene import Scene
+from kncal.scene.start import start_of
 
 #: Settled: mean kinetic energy of a particle below this share of m g d, ...
 RESTING = 1e-5
@@ -46,13 +49,13 @@ _PART = 4_000_000  # particles times steps between two words about progress: a s
 _LONG = 10.0  # s; how long it takes is said if it is more
 
 
-def start_positions(scene: Scene, *, tell: Tell | None = None, progress: Progress | None = None) -> Array:
-    """Return the centres (n, 3) [m] at the start, the same for both models (the packing is cached by its inputs).
+def start_positions(scene: Scene, *, tell: Tell | None = None, progress: Progress | None = None) -> Start:
+    """Return the particles at the start, the same for both models (a settled packing is cached by its inputs).
 
     ``tell``, ``progress``: see `packing`.
     """
     if scene.number == 0:
-        return np.zeros((0, 3))
+        return Start.at(np.zeros((0, 3)))
     log = logging.getLogger("kncal")
     log.info("packing %d particles", scene.number)
     try:
@@ -65,8 +68,16 @@ def start_positions(scene: Scene, *, tell: Tell | None = None, progress: Progres
 
 
 def to_settle(scene: Scene) -> Scene:
-    """Return the scene as it settles: with the spring ``settle_k_n``, whatever its own contact and step."""
-    k_n = scene.group.settle_k_n
+    """Return the scene as it settles: nothing flows in or out, no wall moves or goes.
+
+    With the spring ``settle_k_n`` of its first group that has one, whatever its own contact and step.
+    """
+    still = {
+        name: replace(wall, motion=(), surface_velocity=AT_REST, remove_at=None) for name, wall in scene.walls.items()
+    }
+    there = {name: group for name, group in scene.particles.items() if group.place != "stream"}
+    scene = replace(scene, walls=still, outlets={}, particles=there)
+    k_n = next((group.settle_k_n for group in there.values() if group.settle_k_n is not None), None)
     if k_n is None:
         return scene
     contact = replace(scene.contact, k_n=k_n, pairs=tuple(replace(pair, k_n=None) for pair in scene.contact.pairs))
@@ -75,11 +86,11 @@ def to_settle(scene: Scene) -> Scene:
 
 def packing(
     model: Plan, cache_dir: Path | None = None, *, tell: Tell | None = None, progress: Progress | None = None
-) -> Array:
-    """Return where the particles of ``model.scene`` start, centres (n, 3) [m], row i for the particle with id i + 1.
+) -> Start:
+    """Return the particles of ``model.scene`` at their start.
 
-    "settled": the lattice falls under gravity in LIGGGHTS, with the linear contact of ``model``, until the mean kinetic
-    energy of a particle is below `RESTING` m g d, twice in a row.
+    If any are "settled", all fall under gravity in LIGGGHTS, with the linear contact of ``model``, until the mean
+    kinetic energy of a particle is below `RESTING` m g d, twice in a row.
 
     Parameters
     ----------
@@ -100,9 +111,8 @@ def packing(
         If LIGGGHTS fails, or the particles do not come to rest.
     """
     scene = model.scene
-    placement = PLACEMENTS.find(scene.group.place)
-    start = placement.place(scene)
-    if not placement.settles:
+    start = start_of(scene)
+    if not scene.settles:
         return start
     if model.kind != "linear":
         raise InputError(f"{scene.name}: packing of the {model.kind!r} model, expected the linear one")
@@ -116,10 +126,10 @@ def packing(
     sweep_parts(cache_dir)
     with only_one(path.with_suffix(".lock")):  # many runs of a sweep may want the same packing at once
         kept = _load(path, scene)
-        if kept is not None:
-            return kept
+        if kept is not None and len(kept) == len(start.x):
+            return Start.at(kept, kind=start.kind)
         settled = _settle(model, start, tell or _silent, progress)
-        _store(path, settled)
+        _store(path, settled.x)
         return settled
 
 
@@ -127,10 +137,12 @@ def _silent(_: str) -> None:
     pass
 
 
-def _settle(model: Plan, start: Array, tell: Tell, progress: Progress | None) -> Array:
+def _settle(model: Plan, start: Start, tell: Tell, progress: Progress | None) -> Start:
     scene = model.scene
     d, g = scene.diameter, scene.g
-    fall = math.sqrt(2.0 * float(start[:, 2].max()) / g)
+    heights = start.x @ scene.up
+    bottom = 0.0 if scene.run.coupling is not None else float(min(corner @ scene.up for corner in _corners(scene)))
+    fall = math.sqrt(2.0 * (float(heights.max()) - bottom) / g)
     if fall > MOST_STEPS * model.dt:
         raise InputError(
             f"{scene.name}: the particles fall for {fall:.3g} s until they are settled, {fall / model.dt:.3g} steps: "
@@ -138,7 +150,7 @@ def _settle(model: Plan, start: Array, tell: Tell, progress: Progress | None) ->
         )
     chunk = max(1, round(math.sqrt(d / g) / model.dt))
     looks = math.ceil(PATIENCE * fall / (chunk * model.dt))
-    nothing = np.zeros_like(start)
+    nothing = np.zeros_like(start.x)
     falling = math.ceil(fall / (chunk * model.dt))
     quiet, shares = 0, [math.inf]
     said = _Said(scene, chunk * (falling + _USUAL), model.dt, tell, progress)
@@ -153,12 +165,19 @@ def _settle(model: Plan, start: Array, tell: Tell, progress: Progress | None) ->
             quiet = quiet + 1 if share < RESTING else 0
             if quiet == 2:
                 said(chunk * (look + 1), chunk * (look + 1), 0)
-                return x
+                return replace(start, x=x, v=np.zeros_like(x), spin=np.zeros_like(x))
     raise RunError(
         f"{scene.name}: the particles did not settle in {looks * chunk * model.dt:.3g} s: mean kinetic energy "
         f"{share:.2g} m g d, expected below {RESTING:g}; take e_n below 1, a smaller time step, or "
         'place = "lattice"'
     )
+
+
+def _corners(scene: Scene) -> Iterator[Array]:
+    """The corners of the box that is simulated."""
+    low, high = scene.extent
+    for corner in itertools.product(*zip(low, high, strict=True)):
+        yield np.array(corner)
 
 
 def _run_in_parts(dem: LiggghtsDem, steps: int, force: Array, told: Callable[[int], None]) -> None:
@@ -209,7 +228,7 @@ class _Said:
         self._began = awake() if done == 0 else None
 
 
-def _key(model: Plan, start: Array) -> str:
+def _key(model: Plan, start: Start) -> str:
     """Return a hash of all that a settled packing depends on."""
     deck = bed_deck(model, start)
     assert deck.start is not None  # noqa: S101  # it was given
@@ -229,7 +248,7 @@ def _load(path: Path, scene: Scene) -> Array | None:
         return None
     try:
         positions = np.asarray(read_npz(path, _MOST_BYTES)["positions"], dtype=np.float64)
-        if wrong := next(places(scene, positions), None):
+        if scene.run.coupling is not None and (wrong := next(places(scene, positions), None)):
             raise ReadError(wrong.message)
     except (ReadError, KeyError) as error:
         logging.getLogger("kncal").warning("%s: damaged (%s); the packing is made anew", path, error)

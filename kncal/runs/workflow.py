@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from kncal.core.checks import Array, in_range, one_of, positive
+from kncal.core.checks import in_range, one_of, positive
 from kncal.core.errors import (
     CaseFileError,
     InputError,
@@ -45,6 +45,7 @@ from kncal.runs.solving import check_options, plan_checked, read_run
 from kncal.runs.started import started
 from kncal.scene.limits import no_contact, warnings_of
 from kncal.scene.model import KINDS
+from kncal.scene.placement import Start
 from kncal.scene.scene import Scene
 
 #: What a progress callback is asked for besides the models: steps of the settling, in all as far as known.
@@ -59,7 +60,7 @@ class _Rendered:
 
     models: Mapping[str, Any]
     earlier: Mapping[str, Earlier]
-    start: Array | None
+    start: Start | None
     lock: int
 
 

@@ -7,22 +7,9 @@ from collections.abc import Iterable
 import numpy as np
 
 from kncal.core.checks import Array
-from kncal.scene.bodies import AXES
-from kncal.scene.walls import BoxWall, PlaneWall, WallKeys
 
 #: Lower and upper corner, each (3,) [m]; infinite where something has no end.
 Bounds = tuple[Array, Array]
-
-
-def bounds_of(wall: WallKeys) -> Bounds:
-    """Return the lower and the upper corner of a wall [m]."""
-    low, high = np.full(3, -np.inf), np.full(3, np.inf)
-    if isinstance(wall, PlaneWall):
-        axis = AXES.index(wall.axis)
-        low[axis] = high[axis] = wall.position
-    elif isinstance(wall, BoxWall):
-        low, high = np.array(wall.low), np.array(wall.high)
-    return low, high
 
 
 def extent_of(domain: Bounds | None, things: Iterable[Bounds], periodic: Iterable[int], margin: float) -> Bounds:

@@ -208,6 +208,6 @@ class ObserveChoice:
     )
     width: Length | None = Field(default=None, description="of coarse graining [m]; none: the largest diameter")
     profile: Axis = Field(default="z", description="axis along which profiles are drawn")
-    cell: Length | None = Field(
-        default=None, description="edge of the cells in which mixing is counted [m]; none: five largest diameters"
+    cell_number: Annotated[Whole, within(5, 1000)] = Field(
+        default=25, description="particles in each cell in which mixing is counted"
     )

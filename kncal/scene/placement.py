@@ -35,11 +35,11 @@ class Start:
     kind: NDArray[np.intp]
 
     @classmethod
-    def at_rest(cls, x: Array, kind: NDArray[np.intp] | None = None) -> Start:
-        """Return particles at rest at ``x`` (n, 3) [m], by default all of the first class."""
+    def at(cls, x: Array, v: Array | None = None, kind: NDArray[np.intp] | None = None) -> Start:
+        """Return particles without spin at ``x`` (n, 3) [m], by default at rest, and all of the first class."""
         return cls(
             x=x,
-            v=np.zeros_like(x),
+            v=np.zeros_like(x) if v is None else v,
             spin=np.zeros_like(x),
             kind=np.zeros(len(x), dtype=np.intp) if kind is None else kind,
         )
@@ -111,6 +111,12 @@ def given(scene: Scene) -> Array:
     return positions
 
 
+def _later(scene: Scene) -> Array:
+    """Return no centres: LIGGGHTS inserts these particles during the run."""
+    del scene
+    return np.zeros((0, 3))
+
+
 @dataclass(frozen=True, kw_only=True)
 class Placement:
     """A way to place particles: ``place`` returns their centres (n, 3) [m]; ``settles``: an engine lets them down."""
@@ -126,4 +132,5 @@ PLACEMENTS = Registry(
     Placement(name="settled", place=lattice, settles=True),
     Placement(name="lattice", place=lattice),
     Placement(name="given", place=given),
+    Placement(name="stream", place=_later),
 )

@@ -23,11 +23,12 @@ from kncal.physics.material import RANGES, Material
 from kncal.scene.bodies import AXES, RIGID, Axis, Body, Particle, Vector, Wall
 from kncal.scene.contact import ContactChoice, PairChoice
 from kncal.scene.events import Event, events_of
-from kncal.scene.extent import Bounds, bounds_of, extent_of
+from kncal.scene.extent import Bounds, extent_of
 from kncal.scene.gas import Gas
 from kncal.scene.groups import AT_REST, DomainBox, ObserveChoice, Outlet, Particles
 from kncal.scene.population import FromFile, SizeClass, from_file, number_of
 from kncal.scene.run_control import RunControl
+from kncal.scene.shapes import bounds_of
 from kncal.scene.sizes import Classes, classes, counts
 from kncal.scene.values import (
     Acceleration,
@@ -351,7 +352,7 @@ class Scene:
     def extent(self) -> Bounds:
         """Lower and upper corner of the box that is simulated [m]: the domain's, or what walls and starts need."""
         domain = None if self.domain is None else (np.array(self.domain.low), np.array(self.domain.high))
-        things = [bounds_of(wall) for wall in self.walls.values()]
+        things = [bounds_of(wall, self.path_of) for wall in self.walls.values()]
         things += [group.bounds for group in self.particles.values()]
         things += [outlet.bounds for outlet in self.outlets.values()]
         return extent_of(domain, things, map(AXES.index, self.periodic), self.d_max)

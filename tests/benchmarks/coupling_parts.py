@@ -47,6 +47,7 @@ from kncal.engines.settle import packing
 from kncal.record.openfoam import write_parcel_constants, write_parcel_motion
 from kncal.scene.case_file import load_case
 from kncal.scene.model import Plan
+from kncal.scene.placement import Start
 from kncal.scene.plan import plan
 
 #: Couplings in a block: short against the drift of a shared machine, long against the clock.
@@ -105,7 +106,7 @@ def dem_pair(model: Plan, x: Array, rounds: int) -> DemPair:
     """Compare the three modes in a bed that starts at ``x``."""
     with tempfile.TemporaryDirectory() as scratch:
         folder, scene = Path(scratch), model.scene
-        write_deck(bed_deck(model, x), folder)
+        write_deck(bed_deck(model, Start.at(x)), folder)
         layer, periodic = scene.front_back == "layer", scene.front_back == "periodic"
         given = {
             "deck": DECK,

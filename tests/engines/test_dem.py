@@ -20,7 +20,7 @@ from kncal.engines.liggghts.library import LOG, LiggghtsDem
 from kncal.scene.contact import ContactChoice
 from kncal.scene.groups import AT_REST
 from kncal.scene.model import KINDS, Plan
-from kncal.scene.placement import lattice
+from kncal.scene.placement import Start, lattice
 
 solver = pytest.mark.solver
 ROUGH = ContactChoice(e_n=0.8, friction=0.3, rolling_friction=0.02)
@@ -83,7 +83,7 @@ def test_a_thin_periodic_column_is_refused() -> None:
 @solver
 def test_the_deck_runs_by_hand(tmp_path: Path) -> None:
     given = model(scene(50))
-    with LiggghtsDem(given, tmp_path, lattice(given.scene)):
+    with LiggghtsDem(given, tmp_path, Start.at(lattice(given.scene))):
         pass
     command = ["liggghts", "-in", "in.liggghts", "-log", "none", "-var", "steps", "200"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, timeout=60, check=True)
@@ -99,7 +99,7 @@ def test_a_large_column_costs_no_more(count: int, side: float, tmp_path: Path) -
     bed = scene(count, box=replace(BOX, size=(side, side, side))).with_group(diameter=1e-4)
     given = model(bed, dt=1e-6)
     start = lattice(bed) + np.array([0.01, 0.01, 0.05])
-    with LiggghtsDem(given, tmp_path, start) as dem:
+    with LiggghtsDem(given, tmp_path, Start.at(start)) as dem:
         before = dem.cpu_seconds
         for _ in range(4):
             dem.run(1000, still(bed))
@@ -117,7 +117,7 @@ def test_collisions_in_a_large_column_are_those_in_a_small_one(tmp_path: Path) -
     ends = []
     for side in (0.06, 6.0):
         given = model(scene(60, box=replace(BOX, size=(0.015, 0.006, side))))
-        with LiggghtsDem(given, tmp_path / f"{side:g}", start) as dem:
+        with LiggghtsDem(given, tmp_path / f"{side:g}", Start.at(start)) as dem:
             dem.run(4000, still(bed))
             ends.append(dem.state()[0])
     assert 0.45 * D < ends[0][:, 2].min() < 0.51 * D  # they landed: a free fall is 7.8 mm deep
@@ -136,7 +136,7 @@ def test_free_flight_is_exact(tmp_path: Path) -> None:
     v0 = np.zeros_like(x0)
     v0[:, 2] = 0.1
     force = mass(bed) * np.linspace(-0.5, 0.5, 24).reshape(8, 3)
-    with LiggghtsDem(given, tmp_path, x0, v0) as dem:
+    with LiggghtsDem(given, tmp_path, Start.at(x0, v0)) as dem:
         dem.run(500, force)
         x1, v1 = dem.state()
         dem.run(300, -force)
@@ -158,7 +158,7 @@ def test_momentum_balance_with_the_floor(tmp_path: Path, kind: str) -> None:
     forces = stirring(given, 40)
     old, momentum = forces[0], 0.0
     carried = []
-    with LiggghtsDem(given, tmp_path, lattice(bed)) as dem:
+    with LiggghtsDem(given, tmp_path, Start.at(lattice(bed))) as dem:
         for force in forces:
             step = dem.run(50, force)
             gained = mass(bed) * float(dem.state()[1][:, 2].sum()) - momentum
@@ -178,7 +178,7 @@ def test_friction_at_a_side_wall(tmp_path: Path) -> None:
     press = 0.5 * mass(given.scene) * G
     c = given.between("beads", "column")
     start = np.array([[0.015 - 0.5 * D + press / c.k, 0.003, 0.05]])
-    with LiggghtsDem(given, tmp_path, start) as dem:
+    with LiggghtsDem(given, tmp_path, Start.at(start)) as dem:
         dem.run(2000, np.array([[press, 0.0, 0.0]]))
         step = dem.run(200, np.array([[press, 0.0, 0.0]]))
     assert step.floor_force == 0.0
@@ -192,7 +192,7 @@ def test_rows_keep_their_particles(tmp_path: Path) -> None:
     given = model(bed)
     x0 = lattice(bed)
     v0 = np.random.default_rng(3).normal(0.0, 0.5, x0.shape)
-    with LiggghtsDem(given, tmp_path, x0, v0) as dem:
+    with LiggghtsDem(given, tmp_path, Start.at(x0, v0)) as dem:
         for _ in range(60):
             dem.run(99, still(bed))
             x, v = dem.state()
@@ -217,7 +217,7 @@ def test_a_layer_stays_in_its_plane(tmp_path: Path) -> None:
     given = model(bed, k_n=20.0, dt=4e-5)
     forces = stirring(given, 250)
     moved = 0.0
-    with LiggghtsDem(given, tmp_path, lattice(bed)) as dem:
+    with LiggghtsDem(given, tmp_path, Start.at(lattice(bed))) as dem:
         for force in forces:
             dem.run(100, force)
             x, v = dem.state()
@@ -233,11 +233,11 @@ def test_a_layer_off_its_plane_is_refused(tmp_path: Path) -> None:
     given = model(scene(20, **LAYER))
     x = lattice(given.scene)
     with pytest.raises(InputError, match="plane"):
-        LiggghtsDem(given, tmp_path, x + np.array([0.0, 1e-12, 0.0]))
+        LiggghtsDem(given, tmp_path, Start.at(x + np.array([0.0, 1e-12, 0.0])))
     with pytest.raises(InputError, match="plane"):
-        LiggghtsDem(given, tmp_path, x, np.full_like(x, 1e-3))
+        LiggghtsDem(given, tmp_path, Start.at(x, np.full_like(x, 1e-3)))
     with pytest.raises(InputError, match="outside the column"):
-        LiggghtsDem(given, tmp_path, x - np.array([0.1, 0.0, 0.0]))
+        LiggghtsDem(given, tmp_path, Start.at(x - np.array([0.1, 0.0, 0.0])))
 
 
 # --- overlaps ---------------------------------------------------------------------------------------------------------
@@ -248,7 +248,7 @@ def test_a_layer_off_its_plane_is_refused(tmp_path: Path) -> None:
 def test_overlap_statistics_are_those_of_the_positions(tmp_path: Path, depth: str) -> None:
     bed = scene(300, periodic=("y",) if depth == "periodic" else (), contact=ROUGH)
     given = model(bed)
-    with LiggghtsDem(given, tmp_path, lattice(bed)) as dem:
+    with LiggghtsDem(given, tmp_path, Start.at(lattice(bed))) as dem:
         empty = dem.run(1, still(bed))
         dem.run(6000, still(bed))
         step = dem.run(1, still(bed))  # one look, at the end of the step
@@ -284,11 +284,11 @@ def test_a_continued_run_repeats_the_saved_one(tmp_path: Path, kind: str, sides:
     given = model(bed, kind)
     forces = stirring(given, 50)
     floor: dict[str, list[float]] = {"saved": [], "continued": []}
-    with LiggghtsDem(given, tmp_path / "plain", lattice(bed)) as plain:
+    with LiggghtsDem(given, tmp_path / "plain", Start.at(lattice(bed))) as plain:
         for force in forces:
             plain.run(50, force)
         untouched = plain.state()
-    with LiggghtsDem(given, tmp_path / "saved", lattice(bed)) as saved:
+    with LiggghtsDem(given, tmp_path / "saved", Start.at(lattice(bed))) as saved:
         for force in forces[:25]:
             saved.run(50, force)
         saved.save(tmp_path / "state")
@@ -310,7 +310,7 @@ def test_a_continued_run_repeats_the_saved_one(tmp_path: Path, kind: str, sides:
 @solver
 def test_the_log_stays_small(tmp_path: Path) -> None:
     bed = scene(5, box=TALL)
-    with LiggghtsDem(model(bed), tmp_path, lattice(bed)) as dem:
+    with LiggghtsDem(model(bed), tmp_path, Start.at(lattice(bed))) as dem:
         start = (tmp_path / LOG).stat().st_size
         for _ in range(1500):
             dem.run(1, still(bed))

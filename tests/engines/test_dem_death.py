@@ -18,7 +18,7 @@ from kncal.core.errors import InputError, RunError
 from kncal.engines.liggghts import library as dem_module
 from kncal.engines.liggghts.library import LOG, LiggghtsDem
 from kncal.scene.groups import AT_REST
-from kncal.scene.placement import lattice
+from kncal.scene.placement import Start, lattice
 
 solver = pytest.mark.solver
 
@@ -47,7 +47,7 @@ def nothing_left() -> object:
 @solver
 def test_kill_is_noticed_at_once(tmp_path: Path, nothing_left: object) -> None:
     bed = scene(400)
-    dem = LiggghtsDem(model(bed), tmp_path, lattice(bed))
+    dem = LiggghtsDem(model(bed), tmp_path, Start.at(lattice(bed)))
     pid = dem.pid
     assert pid is not None
     threading.Timer(0.5, os.kill, (pid, signal.SIGKILL)).start()
@@ -66,7 +66,7 @@ def test_kill_is_noticed_at_once(tmp_path: Path, nothing_left: object) -> None:
 @solver
 def test_a_hanging_child_is_ended(tmp_path: Path, nothing_left: object, monkeypatch: pytest.MonkeyPatch) -> None:
     bed = scene(50)
-    dem = LiggghtsDem(model(bed), tmp_path, lattice(bed))
+    dem = LiggghtsDem(model(bed), tmp_path, Start.at(lattice(bed)))
     pid = dem.pid
     assert pid is not None
     monkeypatch.setattr(dem_module, "_RUN_LIMIT", 1.0)
@@ -80,7 +80,7 @@ def test_a_hanging_child_is_ended(tmp_path: Path, nothing_left: object, monkeypa
 def test_a_run_that_a_signal_cut_short_does_not_count(tmp_path: Path, nothing_left: object) -> None:
     """LIGGGHTS answers SIGTERM by an early end of the run, as if nothing had happened; the next run ends it."""
     bed = scene(400)
-    dem = LiggghtsDem(model(bed), tmp_path, lattice(bed))
+    dem = LiggghtsDem(model(bed), tmp_path, Start.at(lattice(bed)))
     pid = dem.pid
     assert pid is not None
     threading.Timer(0.5, os.kill, (pid, signal.SIGTERM)).start()
@@ -92,7 +92,7 @@ def test_a_run_that_a_signal_cut_short_does_not_count(tmp_path: Path, nothing_le
 @solver
 def test_lost_particles_are_an_error(tmp_path: Path, nothing_left: object) -> None:
     bed = scene(50)
-    dem = LiggghtsDem(model(bed), tmp_path, lattice(bed))
+    dem = LiggghtsDem(model(bed), tmp_path, Start.at(lattice(bed)))
     push = still(bed)
     push[7, 0] = 1.0  # a million times its weight: through the wall
     with pytest.raises(RunError, match="left the column"):
@@ -103,7 +103,7 @@ def test_lost_particles_are_an_error(tmp_path: Path, nothing_left: object) -> No
 def test_the_error_of_liggghts_reaches_the_user(tmp_path: Path, nothing_left: object) -> None:
     bed = scene(50)
     given = model(bed)
-    with LiggghtsDem(given, tmp_path / "a", lattice(bed)) as dem:
+    with LiggghtsDem(given, tmp_path / "a", Start.at(lattice(bed))) as dem:
         dem.run(10, still(bed))
         dem.save(tmp_path / "state")
     file = tmp_path / "state" / "particles.restart"
@@ -120,7 +120,7 @@ def test_two_particles_in_one_place(tmp_path: Path, nothing_left: object) -> Non
     """LIGGGHTS computes NaN from there to the end, with exit code 0."""
     bed = scene(2, gravity=AT_REST)
     x = np.full((2, 3), 3e-3)
-    with pytest.raises(RunError, match="not finite"), LiggghtsDem(model(bed), tmp_path, x) as dem:
+    with pytest.raises(RunError, match="not finite"), LiggghtsDem(model(bed), tmp_path, Start.at(x)) as dem:
         dem.run(10, still(bed))
 
 
@@ -128,9 +128,9 @@ def test_two_particles_in_one_place(tmp_path: Path, nothing_left: object) -> Non
 def test_the_child_dies_with_its_parent(tmp_path: Path) -> None:
     """Also in the middle of a run, when it does not listen."""
     program = (
-        "import sys; from pathlib import Path; from beds import *; from kncal.scene.placement import lattice\n"
+        "import sys; from pathlib import Path; from beds import *; from kncal.scene.placement import Start, lattice\n"
         "from kncal.engines.liggghts.library import LiggghtsDem\n"
-        "bed = scene(400); dem = LiggghtsDem(model(bed), Path(sys.argv[1]), lattice(bed))\n"
+        "bed = scene(400); dem = LiggghtsDem(model(bed), Path(sys.argv[1]), Start.at(lattice(bed)))\n"
         "print(dem.pid, flush=True); dem.run(10_000_000, still(bed))\n"
     )
     paths = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
@@ -152,7 +152,7 @@ def test_the_child_dies_with_its_parent(tmp_path: Path) -> None:
 @solver
 def test_bad_forces_are_refused(tmp_path: Path) -> None:
     bed = scene(5)
-    with LiggghtsDem(model(bed), tmp_path, lattice(bed)) as dem:
+    with LiggghtsDem(model(bed), tmp_path, Start.at(lattice(bed))) as dem:
         with pytest.raises(InputError, match="force"):
             dem.run(1, np.full((5, 3), np.nan))
         with pytest.raises(InputError, match="force"):

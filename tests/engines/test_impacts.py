@@ -18,7 +18,7 @@ from kncal.engines.liggghts.library_child import WATCH_EVERY
 from kncal.scene.contact import ContactChoice
 from kncal.scene.groups import AT_REST
 from kncal.scene.model import KINDS
-from kncal.scene.placement import lattice
+from kncal.scene.placement import Start, lattice
 
 solver = pytest.mark.solver
 SMOOTH, ELASTIC = ContactChoice(e_n=0.9), ContactChoice(e_n=1.0)
@@ -98,7 +98,7 @@ def test_drops_hit_the_floor_at_the_speed_of_their_fall(tmp_path: Path, kind: st
     start = np.column_stack([grid, 0.5 * D + 0.5 * G * time**2])
     watched = 0.0
     found: dict[int, float] = {}
-    with LiggghtsDem(given, tmp_path, start) as dem:
+    with LiggghtsDem(given, tmp_path, Start.at(start)) as dem:
         for number in range(1, int(rounds.max()) + 1):
             step = dem.run(WATCH_EVERY, still(bed))
             assert step.impacts[0].sum() == 0
@@ -131,7 +131,7 @@ def test_oblique_pairs_meet_at_their_normal_speed(tmp_path: Path) -> None:
         x[2 * k + 1] = (0.01 * (k + 1), 0.0059, 0.03)
         x[2 * k] = (0.01 * (k + 1) + b, (0.0059 + gap) % 0.006, 0.03)
         v[2 * k, 1] = -w
-    with LiggghtsDem(given, tmp_path, x, v) as dem:
+    with LiggghtsDem(given, tmp_path, Start.at(x, v)) as dem:
         steps = [dem.run(WATCH_EVERY, still(bed)) for _ in range(3)]
     assert [step.impacts.sum() for step in steps] == [0, 0, 4]
     expected = speed * np.sqrt(1.0 - (offsets / D) ** 2)
@@ -155,7 +155,7 @@ def test_impacts_in_a_gas_are_those_of_kinetic_theory(tmp_path: Path, kind: str)
     x = (sites + 0.5) * side / 10
     v = np.random.default_rng(1).normal(0.0, 1.0, (n, 3))
     counts, sums, energy = np.zeros((2, len(speed_edges()) - 1)), np.zeros((2, 3)), []
-    with LiggghtsDem(given, tmp_path, x, v) as dem:
+    with LiggghtsDem(given, tmp_path, Start.at(x, v)) as dem:
         for number in range(220):
             step = dem.run(WATCH_EVERY, still(bed))
             if number >= 20:  # 20 intervals are 6 ms, in which each particle collides dozens of times
@@ -183,7 +183,7 @@ def test_watching_leaves_no_trace(tmp_path: Path) -> None:
     given = model(bed)
     states = []
     for name, parts in (("often", [80] * 20), ("seldom", [400] * 4), ("odd", [79, 81] * 10)):
-        with LiggghtsDem(given, tmp_path / name, lattice(bed)) as dem:
+        with LiggghtsDem(given, tmp_path / name, Start.at(lattice(bed))) as dem:
             watched = sum(dem.run(steps, still(bed)).watched for steps in parts)
             states.append(dem.state())
         assert watched == pytest.approx(

@@ -22,7 +22,7 @@ from kncal.engines.liggghts.library import LiggghtsDem
 from kncal.engines.settle import packing
 from kncal.scene.contact import ContactChoice
 from kncal.scene.groups import AT_REST
-from kncal.scene.placement import PLACEMENTS, lattice
+from kncal.scene.placement import PLACEMENTS, Start, lattice
 
 solver = pytest.mark.solver
 #: What bounds a box in y, as fields of a scene.
@@ -80,12 +80,12 @@ def test_seeds_differ_and_repeat() -> None:
 
 def test_given_positions() -> None:
     places = ((0.002, 0.003, 0.004), (0.006, 0.003, 0.004))
-    assert packing(model(scene(2, place="given", positions=places))).tolist() == [list(p) for p in places]
+    assert packing(model(scene(2, place="given", positions=places))).x.tolist() == [list(p) for p in places]
     with pytest.raises(InputError, match="positions"):
         packing(model(scene(3, place="given", positions=places)))
     with pytest.raises(InputError, match="place"):
         packing(model(scene(3, place="heap")))
-    assert set(PLACEMENTS) == {"settled", "lattice", "given"}
+    assert set(PLACEMENTS) == {"settled", "lattice", "given", "stream"}
 
 
 def test_what_cannot_settle() -> None:
@@ -102,10 +102,10 @@ def test_what_cannot_settle() -> None:
 def test_a_settled_bed_rests_on_its_floor(tmp_path: Path, friction: float) -> None:
     bed = scene(450, contact=ContactChoice(e_n=0.8, friction=friction))
     linear = model(bed, k_n=50.0, dt=2e-5)
-    x = packing(linear)
+    x = packing(linear).x
     assert x.shape == (450, 3)
     c = linear.between("beads", "column")
-    with LiggghtsDem(linear, tmp_path, x) as dem:
+    with LiggghtsDem(linear, tmp_path, Start.at(x)) as dem:
         rest = [dem.run(1000, still(bed)) for _ in range(5)][-1]
         y, _ = dem.state()
     # It stays where it was, but for a loose one that rolls on; and the bed does not sag.
@@ -139,10 +139,10 @@ def _between(z: float, low: float, high: float) -> float:
 @solver
 def test_packings_are_kept_by_their_inputs(tmp_path: Path) -> None:
     bed = scene(60, contact=ContactChoice(e_n=0.5, friction=0.3))
-    first = packing(model(bed), tmp_path)
+    first = packing(model(bed), tmp_path).x
     (file,) = tmp_path.glob("*.npz")
     stamp = file.stat().st_mtime_ns
-    assert np.array_equal(packing(model(bed), tmp_path), first)
+    assert np.array_equal(packing(model(bed), tmp_path).x, first)
     assert [p.stat().st_mtime_ns for p in tmp_path.glob("*.npz")] == [stamp]
     packing(model(bed, k_n=150.0), tmp_path)
     packing(model(bed.with_group(seed=7)), tmp_path)
@@ -152,13 +152,13 @@ def test_packings_are_kept_by_their_inputs(tmp_path: Path) -> None:
 @solver
 def test_settling_says_what_it_does_and_how_far_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bed = scene(60, contact=ContactChoice(e_n=0.5, friction=0.3))
-    alone = packing(model(bed))
+    alone = packing(model(bed)).x
     monkeypatch.setattr(packing_module, "_PART", 60 * 100)  # parts of 100 steps
     monkeypatch.setattr(packing_module, "_LONG", 0.0)
     said: list[str] = []
     seen: list[tuple[int, int]] = []
     together = packing(model(bed), tmp_path, tell=said.append, progress=lambda done, total: seen.append((done, total)))
-    assert np.array_equal(alone, together)  # to tell it in parts changes nothing
+    assert np.array_equal(alone, together.x)  # to tell it in parts changes nothing
     assert "60 particles" in said[0]
     assert re.search(r"\d:\d\d:\d\d", said[1])
     done = [number for number, _ in seen]
@@ -176,7 +176,7 @@ def test_settling_says_what_it_does_and_how_far_it_is(tmp_path: Path, monkeypatc
 @pytest.mark.parametrize("damage", ["cut", "junk", "shape", "not finite", "outside"])
 def test_a_damaged_packing_is_made_anew(tmp_path: Path, caplog: pytest.LogCaptureFixture, damage: str) -> None:
     bed = scene(8, contact=ContactChoice(e_n=0.5))
-    first = packing(model(bed), tmp_path)
+    first = packing(model(bed), tmp_path).x
     (file,) = tmp_path.glob("*.npz")
     wrong = {"shape": first[:-1], "not finite": first * np.nan, "outside": first - 1.0}
     if damage in wrong:
@@ -185,11 +185,11 @@ def test_a_damaged_packing_is_made_anew(tmp_path: Path, caplog: pytest.LogCaptur
         file.write_bytes(file.read_bytes()[:-200] if damage == "cut" else b"junk")
     for name in (".packing.abcdefgh.part", f".{file.name}.abcdefgh.part"):  # of starts that were killed
         (tmp_path / name).write_bytes(b"half")
-    assert np.array_equal(packing(model(bed), tmp_path), first)
+    assert np.array_equal(packing(model(bed), tmp_path).x, first)
     assert not list(tmp_path.glob(".*.part"))
     assert str(file) in caplog.text
     caplog.clear()
-    assert np.array_equal(packing(model(bed), tmp_path), first)
+    assert np.array_equal(packing(model(bed), tmp_path).x, first)
     assert caplog.text == ""
 
 

@@ -26,7 +26,7 @@ from kncal.engines.liggghts import library as dem_module
 from kncal.engines.liggghts.diagnose import diagnose_liggghts
 from kncal.engines.liggghts.library import LiggghtsDem
 from kncal.runs.states import ADVICE
-from kncal.scene.placement import lattice
+from kncal.scene.placement import Start, lattice
 
 pytestmark = pytest.mark.solver
 
@@ -42,7 +42,7 @@ from pathlib import Path
 import kncal.engines.liggghts.library as dem_module
 from beds import model, scene, still
 from gas_columns import setup
-from kncal.scene.placement import lattice
+from kncal.scene.placement import Start, lattice
 from kncal.engines.dpmfoam.adapter_build import find
 from kncal.engines.liggghts.library import LiggghtsDem
 from kncal.engines.dpmfoam.live import LiveGas
@@ -55,7 +55,7 @@ out, end, first, found = Path(sys.argv[1]), threading.Event(), {}, {}
 
 def particles():
     bed = scene(50)
-    with LiggghtsDem(model(bed), out / "particles", lattice(bed)) as dem:
+    with LiggghtsDem(model(bed), out / "particles", Start.at(lattice(bed))) as dem:
         yield from (dem.run(3000, still(bed)) for _ in iter(int, 1))
 
 def live():
@@ -142,7 +142,7 @@ def particles(folder: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[int, Calla
     """The number of a LIGGGHTS, what asks it something, and what waits for it while it waits for kncal: a deadlock."""
     monkeypatch.setattr(dem_module, "_RUN_LIMIT", 0.6)
     bed = scene(20)
-    dem = LiggghtsDem(model(bed), folder, lattice(bed))
+    dem = LiggghtsDem(model(bed), folder, Start.at(lattice(bed)))
     assert dem.pid is not None
     return dem.pid, lambda: dem.run(10, still(bed)), lambda: dem._receive(0.6)
 

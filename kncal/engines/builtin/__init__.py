@@ -10,13 +10,13 @@ from typing import Any
 
 from kncal import __version__
 from kncal.core.awake import awake
-from kncal.core.checks import Array
 from kncal.core.errors import InputError, RenderError
 from kncal.engines.base import FRAMES, Engine, Profile, Progress, guarded
 from kncal.engines.builtin.integrator import check, integrate
 from kncal.record.liggghts_dump import write_trajectory
 from kncal.record.outcome import RunResult
 from kncal.scene.model import Plan
+from kncal.scene.placement import Start
 
 SCRIPT = "Allrun"
 
@@ -45,7 +45,7 @@ class Builtin(Engine):
         """Return the command that repeats by hand, in the run's folder, what `run` does in this process."""
         return ("kncal", "run", "../case.toml", "--engine", self.name, "--model", plan.kind, "--out", "by-hand")
 
-    def render(self, plan: Plan, folder: Path, *, start: Array | None = None, by_hand: bool = False) -> None:
+    def render(self, plan: Plan, folder: Path, *, start: Start | None = None, by_hand: bool = False) -> None:
         """Write ``Allrun`` into ``folder``; there is no other input than the case file.
 
         Raises
@@ -70,7 +70,7 @@ class Builtin(Engine):
         plan: Plan,
         folder: Path,
         *,
-        start: Array | None = None,
+        start: Start | None = None,
         timeout: float | None = None,
         progress: Progress | None = None,
         resume: bool = False,

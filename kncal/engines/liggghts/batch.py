@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from kncal.core.checks import Array, one_of
+from kncal.core.checks import one_of
 from kncal.core.errors import SolverMissingError
 from kncal.core.installed import found_once
 from kncal.core.mpi import MISSING as NO_MPIRUN
@@ -21,6 +21,7 @@ from kncal.engines.tunnelling import PASSED_THROUGH, passages
 from kncal.record.liggghts_log import step_of_line
 from kncal.record.outcome import RunResult
 from kncal.scene.model import Plan
+from kncal.scene.placement import Start
 
 PROGRAM = "liggghts"
 LOG = "log.liggghts"
@@ -77,7 +78,7 @@ class Liggghts(Engine):
         """Return the command that `run` starts in the run's folder; it is the same for every plan."""
         return mpi_command(_COMMAND, self.ranks, oversubscribe=self._oversubscribe)
 
-    def render(self, plan: Plan, folder: Path, *, start: Array | None = None, by_hand: bool = False) -> None:
+    def render(self, plan: Plan, folder: Path, *, start: Start | None = None, by_hand: bool = False) -> None:
         """Write ``in.liggghts`` and ``Allrun`` into ``folder``.
 
         Raises
@@ -93,7 +94,7 @@ class Liggghts(Engine):
         plan: Plan,
         folder: Path,
         *,
-        start: Array | None = None,
+        start: Start | None = None,
         timeout: float | None = None,
         progress: Progress | None = None,
         resume: bool = False,

@@ -23,6 +23,7 @@ from kncal.engines.liggghts.schedule import schedule
 from kncal.record.liggghts_log import END_MARKER
 from kncal.scene.bodies import Vector
 from kncal.scene.model import Plan
+from kncal.scene.placement import Start
 from kncal.scene.scene import Scene
 
 DECK, SCRIPT, DATA, RESTART = "in.liggghts", "Allrun", "particles.data", "particles.restart"
@@ -155,8 +156,8 @@ def scene_deck(model: Plan, linear_style: str) -> Deck:
     )
 
 
-def bed_deck(model: Plan, positions: Array | None = None, velocities: Array | None = None) -> Deck:
-    """Describe the deck of a model of a bed, with particles at ``positions``, ``velocities`` (n, 3), or a restart.
+def bed_deck(model: Plan, start: Start | None = None) -> Deck:
+    """Describe the deck of a model of a bed, with particles at their ``start``, or from a restart.
 
     Raises
     ------
@@ -172,11 +173,6 @@ def bed_deck(model: Plan, positions: Array | None = None, velocities: Array | No
     x_side, y_side, z_side = (
         (0.0, size) if axis in periodic else (-d, size + d) for axis, size in zip("xyz", box.size, strict=True)
     )
-    start = None
-    if positions is not None:
-        rest = np.zeros_like(positions)
-        v = rest if velocities is None else velocities
-        start = Particles(kinds=np.zeros(len(positions), dtype=np.intp), x=positions, v=v, spin=rest)
     return Deck(
         scene=scene.name,
         kind=model.kind,
@@ -188,7 +184,7 @@ def bed_deck(model: Plan, positions: Array | None = None, velocities: Array | No
         periodic=periodic,
         gravity=(0.0, 0.0, -scene.g),
         dt=model.dt,
-        start=start,
+        start=None if start is None else Particles(kinds=start.kind, x=start.x, v=start.v, spin=start.spin),
         count=scene.number,
         skin=SKIN * d,
         bin_size=_bin_size(scene),

@@ -29,6 +29,7 @@ from kncal.engines.liggghts.library_child import LIBRARY, SAVED_FORCES, VARIABLE
 from kncal.record.steps import DemStep
 from kncal.scene.box_limits import places
 from kncal.scene.model import Plan
+from kncal.scene.placement import Start
 from kncal.scene.scene import Scene
 
 LOG = "log.liggghts"
@@ -51,8 +52,7 @@ class LiggghtsDem:
     model : Plan
     folder : Path
         The child's folder (made if missing): deck, particles, log.
-    positions : (n, 3) centres [m], row i is the particle with id i + 1; None with ``restart``
-    velocities : (n, 3) [m/s]; None: at rest
+    start : Start, None with ``restart``
     restart : Path, optional
         A folder that `save` wrote: go on from there, with the contact history.
     pass_fds : sequence of int
@@ -74,8 +74,7 @@ class LiggghtsDem:
         self,
         model: Plan,
         folder: Path,
-        positions: Array | None,
-        velocities: Array | None = None,
+        start: Start | None,
         restart: Path | None = None,
         *,
         pass_fds: Sequence[int] = (),
@@ -92,13 +91,11 @@ class LiggghtsDem:
             for name in SAVED:
                 _copy_saved(restart / name, folder / name)
             write_deck(bed_deck(model), folder)
-        elif positions is not None:
-            x = np.ascontiguousarray(positions, dtype=np.float64)
-            v = None if velocities is None else np.ascontiguousarray(velocities, dtype=np.float64)
-            _check_start(scene, x, v)
-            write_deck(bed_deck(model, x, v), folder)
+        elif start is not None:
+            _check_start(scene, start)
+            write_deck(bed_deck(model, start), folder)
         else:
-            raise InputError("positions: None, expected (n, 3) centres, or a restart folder")
+            raise InputError("start: None, expected particles, or a restart folder")
         arguments = {
             "count": self._count,
             "deck": DECK,
@@ -280,16 +277,18 @@ def middle(scene: Scene) -> float:
     return 0.5 * scene.box.depth
 
 
-def _check_start(scene: Scene, x: Array, v: Array | None) -> None:
-    if wrong := next(places(scene, x), None):
+def _check_start(scene: Scene, start: Start) -> None:
+    x, v = start.x, start.v
+    if scene.run.coupling is not None and (wrong := next(places(scene, x), None)):
         raise InputError(f"{scene.name}: {wrong.message}")
-    if v is not None and (v.shape != x.shape or not np.isfinite(v).all()):
-        raise InputError(f"velocities of shape {v.shape}: expected {x.shape}, finite")
+    for name, part in (("x", x), ("v", v), ("spin", start.spin)):
+        if part.shape != (len(start.kind), 3) or not np.isfinite(part).all():
+            raise InputError(f"{name} of shape {part.shape}: expected {(len(start.kind), 3)}, finite")
     if scene.layer:
         y = middle(scene)
         if (x[:, 1] != y).any():
             raise InputError(f"positions: a layer lies in the plane y = depth/2 = {y!r} m, some are beside it")
-        if v is not None and v[:, 1].any():
+        if v[:, 1].any():
             raise InputError("velocities: a layer has none across its plane, expected vy = 0 for all")
 
 

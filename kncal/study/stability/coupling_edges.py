@@ -139,7 +139,7 @@ def bed_edges(
         return []
     small = reduced(scene)
     # all runs start from one packing, whatever changes
-    positions = tuple(tuple(map(float, centre)) for centre in start_positions(small, tell=tell))
+    positions = tuple(tuple(map(float, centre)) for centre in start_positions(small, tell=tell).x)
     small = small.with_group(place="given", count=None, settle_k_n=None, positions=positions)
     case = folder / small.name / CASE
     case.parent.mkdir(parents=True, exist_ok=True)

@@ -1,0 +1,76 @@
+"""The particles at the start of a run, as far as it takes no solver: groups in their regions, or as the case says."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kncal.core.checks import Array
+from kncal.scene.bodies import AXES
+from kncal.scene.filling import fill
+from kncal.scene.groups import BoxRegion
+from kncal.scene.placement import PLACEMENTS, Start
+from kncal.scene.scene import Scene
+from kncal.scene.shapes import distance_to
+
+
+def start_of(scene: Scene) -> Start:
+    """Return the particles as they are placed, before any of them settle; those of streams are not among them.
+
+    Raises
+    ------
+    InputError
+        If there is no room for them, or the case gives them wrongly.
+    ReadError
+        If a file of the case cannot be read.
+    """
+    if scene.run.coupling is not None:
+        return Start.at(PLACEMENTS.find(scene.group.place).place(scene))
+    found: list[Start] = []
+    for name in scene.particles:
+        found.extend(_group(scene, name, _joined(found)))
+    return _joined(found)
+
+
+def _group(scene: Scene, name: str, there: Start) -> Iterator[Start]:
+    """Yield a group, if it is there at the start, beside the particles that are ``there`` already."""
+    group = scene.particles[name]
+    own = [(i, c) for i, c in enumerate(scene.classes) if c.group == name]
+    kind = np.repeat([i for i, _ in own], [c.number for _, c in own])
+    if group.place == "stream":
+        return
+    if group.file is not None:
+        given = scene.from_files[name]
+        yield Start(x=given.particles.x, v=given.particles.v, spin=given.particles.spin, kind=own[0][0] + given.kind)
+        return
+    if group.place == "given":
+        x = np.array(group.centres, dtype=np.float64)
+    else:
+        radii = 0.5 * np.array([c.diameter for c in scene.classes])
+        region = group.region or BoxRegion(low=scene.box.low, high=scene.box.high)
+        periods = {axis: (scene.extent[0][axis], scene.extent[1][axis]) for axis in map(AXES.index, scene.periodic)}
+        taken = (there.x, radii[there.kind])
+        x = fill(region, radii[kind], group.seed, free=_free(scene), periods=periods, taken=taken)
+    each = np.ones((len(x), 1))
+    yield Start(x=x, v=each * np.array(group.velocity), spin=each * np.array(group.spin), kind=kind)
+
+
+def _free(scene: Scene) -> Callable[[Array, Array], NDArray[np.bool_]]:
+    """Return what tells whether spheres at points (n, 3) with radii (n,) touch no wall."""
+
+    def free(points: Array, radii: Array) -> NDArray[np.bool_]:
+        found = np.ones(len(points), dtype=bool)
+        for wall in scene.walls.values():
+            found &= distance_to(wall, points, path_of=scene.path_of) >= radii
+        return found
+
+    return free
+
+
+def _joined(parts: Sequence[Start]) -> Start:
+    none = np.zeros((0, 3))
+    x, v, spin = (np.concatenate([none, *(getattr(part, name) for part in parts)]) for name in ("x", "v", "spin"))
+    kind = np.concatenate([np.zeros(0, dtype=np.intp), *(part.kind for part in parts)])
+    return Start(x=x, v=v, spin=spin, kind=kind)
