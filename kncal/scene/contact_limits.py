@@ -13,7 +13,9 @@ from dataclasses import replace
 import numpy as np
 
 from kncal.physics.calibration import OVERLAP_DOUBTFUL, OVERLAP_MEANINGLESS
+from kncal.physics.cohesion import share as pulled
 from kncal.physics.material import sphere_mass
+from kncal.physics.tangential import LIGHTER
 from kncal.physics.timestep import verlet_limit
 from kncal.scene.ballistics import first_touch, initial_overlap
 from kncal.scene.bodies import AXES, Particle, Wall
@@ -200,7 +202,7 @@ def steps(model: Plan) -> Iterator[Finding]:
     shortest = model.shortest
     # a step that is not stable is worse than a coarse one: one is enough, the step is one for all pairs
     worst: tuple[bool, float, Finding] | None = None
-    pairs: list[tuple[PairContact, str]] = []
+    pairs: list[tuple[PairContact, str, float]] = []
     stiff: list[tuple[float, float, float]] = []
     coarsest: dict[object, float] = {}
     for (a, b), c, who, _ in _deepest(model):
@@ -209,13 +211,13 @@ def steps(model: Plan) -> Iterator[Finding]:
             continue  # never stiff: nothing is known to press it
         tangent = c.n * c.k * delta ** (c.n - 1.0) if c.n != 1.0 else c.k
         stiff.append((tangent, c.m_eff, c.c * delta**c.p if c.p else c.c))
-        pairs.append((c, who))
+        pairs.append((c, who, delta))
         coarsest[_alike(c)] = min(coarsest.get(_alike(c), math.inf), c.t_c)
     if not pairs:
         return
     k, mass, c_n = np.transpose(stiff)
     limits = [np.atleast_1d(verlet_limit(k, mass, c_n, z)).tolist() for z in (1.0, most)]
-    for (contact, who), one, many in zip(pairs, *limits, strict=True):
+    for (contact, who, delta), one, many in zip(pairs, *limits, strict=True):
         found: tuple[bool, float, Finding] | None = None
         if model.dt >= one:
             text = (
@@ -229,6 +231,9 @@ def steps(model: Plan) -> Iterator[Finding]:
                 f"with {most:g} contacts at once: expected at most {0.5 * many:.2g} s where so many touch"
             )
             found = True, model.dt / one, Finding("dt-unstable", "warn", text)
+        elif model.dt >= (sticking := sticking_limit(contact, delta, most)):
+            text = _swings(who, model.dt, sticking, most)
+            found = True, model.dt / one, Finding("dt-unstable", "warn", text)
         elif contact.t_c > STEPS_MARGIN * coarsest[_alike(contact)]:
             continue  # the same impact in more steps: its error is smaller
         elif (coarse := step_error(contact, model.dt, shortest)) is not None:
@@ -237,6 +242,38 @@ def steps(model: Plan) -> Iterator[Finding]:
             worst = found
     if worst is not None:
         yield worst[2]
+
+
+def cohesion(model: Plan) -> Iterator[Finding]:
+    """Find linear contacts whose cohesion pulls harder than their spring pushes."""
+    for (a, b), c in model.named.items():
+        share = pulled(c.k, c.n, c.cohesion, c.R_eff, 1.0) if c.n == 1.0 else 0.0
+        if share >= 1.0:
+            yield Finding(
+                "cohesion",
+                "refuse",
+                f"{a}–{b}: cohesion pulls with {share:.3g} of the force by which the linear spring pushes, so the "
+                "bodies fall into each other: expected less than 1; take a smaller cohesion_energy_density, a stiffer "
+                "contact, or the hertz model",
+            )
+
+
+def sticking_limit(contact: PairContact, delta: float, contacts: float = 1.0) -> float:
+    """Return the largest stable step [s] of a contact that sticks, at an overlap [m]; infinite without friction.
+
+    Its contact point is 7/2 times as light as the spheres are: `verlet_limit` of 3.5 k_t and 3.5 c_t.
+    """
+    if contact.friction == 0.0 or contact.k_t == 0.0:
+        return math.inf
+    k_t, c_t = contact.k_t * delta ** (contact.n - 1.0), contact.c_t * delta**contact.p
+    return float(verlet_limit(LIGHTER * k_t, contact.m_eff, LIGHTER * c_t, contacts))
+
+
+def _swings(who: str, dt: float, limit: float, contacts: float) -> str:
+    return (
+        f"{who}: dt = {dt:.3g} s is {dt / limit:.3g} of the largest step at which a tangential spring that sticks is "
+        f"stable, with {contacts:g} contacts at once: it swings up until it slips: expected at most {limit:.2g} s"
+    )
 
 
 def dem_steps(model: Plan) -> Iterator[Finding]:
@@ -260,6 +297,9 @@ def dem_steps(model: Plan) -> Iterator[Finding]:
                     f"{most:g} contacts, {limit:.3g} s ({steps:.3g} steps per contact): expected a larger "
                     "run.steps_per_contact",
                 )
+                continue
+            if model.dt > (sticking := sticking_limit(contact, delta, most)):
+                yield Finding("dem-step", "warn", _swings(f"{a}–{b}", model.dt, sticking, most))
                 continue
         if (coarse := step_error(contact, model.dt, model.shortest)) is not None:
             yield Finding("dem-step", "warn", f"{a}–{b}: {coarse}")

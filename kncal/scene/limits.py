@@ -20,7 +20,7 @@ from kncal.scene.scene import Scene
 from kncal.scene.species import listed
 
 #: Limits that differ from model to model; of the others (gas, coupling) each is said once.
-_OF_CONTACTS = ("dem-step", "static-overlap")
+_OF_CONTACTS = ("dem-step", "static-overlap", "cohesion")
 
 
 class Limit(NamedTuple):
@@ -61,6 +61,7 @@ LIMITS = (
     Limit(_single, lambda p, _: contact_limits.first_impacts_starts_and_rest(p)),
     Limit(_single, lambda p, _: contact_limits.steps(p)),
     Limit(_single, lambda p, _: contact_limits.recording(p)),
+    Limit(lambda _: True, lambda p, _: contact_limits.cohesion(p)),
     Limit(_boxed, lambda p, _: box_limits.depth(p.scene)),
     Limit(_many, lambda p, _: contact_limits.dem_steps(p)),
     Limit(_many, lambda p, _: contact_limits.bottom_of_bed(p)),
