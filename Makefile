@@ -13,7 +13,7 @@ BED_DEMO := kncal compare bubbling_bed_mini --set run.until_time=0.1 --out $(BED
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo demo-bed studies adapter check test test-long lint clean setup setup-dev
+.PHONY: help demo demo-bed studies validation adapter check test test-long lint clean setup setup-dev
 
 help:
 	@echo 'make demo   set up everything, compare linear and Hertz contact: a falling particle, then the first tenth of a'
@@ -22,12 +22,17 @@ help:
 	@echo 'make test   set up likewise, run all tests but the long ones, with the real solvers (six minutes on two cores)'
 	@echo 'make test-long  set up likewise, run what is left: 1e5 damaged files of each kind, long beds, power cuts (hours)'
 	@echo 'make studies  set up likewise, make the numbers and figures in docs/studies anew (about an hour)'
+	@echo 'make validation  set up likewise, compare with closed forms and published numbers anew (docs/validation.md)'
 	@echo 'make lint   set up likewise, check style, formatting and types'
 	@echo 'make clean  remove .venv, the runs of the demo, builds and caches'
 
 # What is in runs/studies already is not run again.
 studies: setup adapter
 	$(PYTHON) docs/studies/make.py
+
+# The quick rows; `python docs/make_validation.py --all` makes the long ones, too.
+validation: setup adapter
+	$(PYTHON) docs/make_validation.py
 
 setup:
 	@bash .ci/setup.sh run

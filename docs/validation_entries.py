@@ -1,0 +1,59 @@
+"""What docs/validation.md compares: `ENTRIES`.
+
+A new row is one more `Entry`. Of a case whose expected.json has the metric, `expected` needs no number.
+"""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+from validation_chung_ooi import CHUNG_OOI
+from validation_entry import Entry, expected
+
+from kncal.core.shipped import folder
+from kncal.observe.run_data import RunData
+
+_DEM, _GAS, _SLIDING = "MFIX's DEM01 to DEM06", "Particles and gas", "sliding, closed form"
+
+
+def _stacked(run: RunData) -> float:
+    """Largest distance of the particles from the positions in expected.json, over 0.1 mm."""
+    case = folder("cases") / run.model.scene.name / "expected.json"
+    frames, apart = run.trajectory, []
+    for name, known in json.loads(case.read_text("utf-8"))["positions"][run.model.kind].items():
+        path = frames.x[:, frames.names.index(name), "xyz".index(known["axis"])]
+        apart.append(np.abs(np.interp(known["t"], frames.t, path) - known["value"]).max())
+    return float(max(apart) / 1e-4)
+
+
+MFIX = [
+    expected(_DEM, "DEM01, 02: first rebound height", "falling_particle", "rebound_height", "motion with gravity"),
+    expected(_DEM, "DEM01, 02: third rebound height", "falling_particle", "rebound_height_3", "motion with gravity"),
+    Entry(
+        section=_DEM,
+        what="DEM03: largest deviation of a position, over 0.1 mm",
+        source="matrix exponential",
+        case="stacked_particles",
+        metric="positions",
+        models=("linear",),
+        value=_stacked,
+        reference=0.0,
+        tolerance=0.005,
+        scale=1.0,
+    ),
+    expected(_DEM, "DEM03: largest overlap at the floor", "stacked_particles", "delta_max_2", "equations of motion"),
+    expected(_DEM, "DEM04: end of slip", "sliding_particle", "slip_end_time", "2 u/(7 mu g)"),
+    expected(_DEM, "DEM04: speed then", "sliding_particle", "slip_end_speed", "(5/7) u"),
+    expected(_DEM, "DEM05: tangential restitution at 45°", "oblique_impact", "tangential_restitution", _SLIDING),
+    expected(_DEM, "DEM05: spin", "oblique_impact", "spin_out", _SLIDING),
+    expected(_DEM, "DEM06: slip of a falling particle", "terminal_velocity", "slip", "equation of motion", "linear"),
+]
+
+GAS = [
+    expected(_GAS, "slip at Re 68", "terminal_velocity_intermediate", "slip", "equation of motion", "linear"),
+    expected(_GAS, "pressure gradient of a packed bed", "packed_bed", "ergun_ratio", "Ergun (1952)", "linear"),
+    expected(_GAS, "U_mf of NETL's beads", "fluidization_curve", "U_mf", "measured, NETL SSCP-I", "linear", long=True),
+]
+
+ENTRIES: tuple[Entry, ...] = (*CHUNG_OOI, *MFIX, *GAS)
