@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Set
+from collections.abc import Iterable, Set
 from typing import Any
 
 from kncal.core.units import percent, quantity
@@ -13,6 +13,7 @@ from kncal.scene.contact import ContactChoice
 from kncal.scene.gas import Gas
 from kncal.scene.model import Plan
 from kncal.scene.pair_contact import bond_number
+from kncal.scene.species import listed
 
 _DEPTHS = {
     "walls": "walls in front and at the back",
@@ -46,17 +47,42 @@ def run_settings(linear: Plan, hertz: Plan, costs: tuple[Any, Any]) -> Table:
     if not hertz.couplings:
         return Table((), ())
     scene = hertz.scene
-    box, particles, gas = scene.box, scene.group, scene.gas
+    rows = _coupled(models, costs) if scene.run.coupling is not None else _granular(models)
+    if scene.number and not scene.frozen:
+        rows.insert(3, _each("DEM steps per interval", (str(m.steps_per_coupling) for m in models)))
+    rows += [
+        _both(
+            f"particles {name}",
+            f"{sum(c.number for c in scene.classes if c.group == name):,} of "
+            f"{listed([quantity(c.diameter, 'm') for c in scene.classes if c.group == name])}, start: {group.place}",
+        )
+        for name, group in scene.particles.items()
+    ]
+    rows += [_each(f"contact {'–'.join(pair)}", (_contact(m, pair) for m in models)) for pair in hertz.named]
+    return Table(("", "linear", "Hertz"), tuple(rows), text=(0, 1, 2))
+
+
+def _granular(models: tuple[Plan, Plan]) -> list[tuple[str, str, str]]:
+    scene = models[1].scene
+    low, high = scene.extent
+    periodic = f", periodic in {listed(scene.periodic)}" if scene.periodic else ""
+    return [
+        _each("interval", (quantity(m.coupling, "s") for m in models)),
+        _both("domain (x, y, z)", " × ".join(quantity(s, "m") for s in (high - low).tolist()) + periodic),
+        _both("walls", listed([f"{name} ({wall.shape})" for name, wall in scene.walls.items()]) or "none"),
+    ]
+
+
+def _coupled(models: tuple[Plan, Plan], costs: tuple[Any, Any]) -> list[tuple[str, str, str]]:
+    scene = models[1].scene
+    box, gas = scene.box, scene.gas
     rows = [
-        ("transport between the solvers", *(c.transport for c in costs)),
-        ("coupling interval", *(quantity(m.coupling, "s") for m in models)),
-        ("gas step", *(quantity(m.gas_step, "s") if gas is not None else "–" for m in models)),
+        _each("transport between the solvers", (c.transport for c in costs)),
+        _each("coupling interval", (quantity(m.coupling, "s") for m in models)),
+        _each("gas step", (quantity(m.gas_step, "s") if gas is not None else "–" for m in models)),
         _both("box (x, y, z)", " × ".join(quantity(s, "m") for s in box.size)),
         _both("front and back", _DEPTHS.get(scene.front_back, scene.front_back)),
-        _both("particles", f"{scene.number:,} of {quantity(scene.diameter, 'm')}, start: {particles.place}"),
     ]
-    if scene.number and not scene.frozen:
-        rows.insert(3, ("DEM steps per coupling", *(str(m.steps_per_coupling) for m in models)))
     if gas is not None:
         edges = [size / n for size, n in zip(box.size, gas.cells, strict=True)]
         smallest = min(edge for axis, edge in zip("xyz", edges, strict=True) if axis != scene.layer)
@@ -69,8 +95,12 @@ def run_settings(linear: Plan, hertz: Plan, costs: tuple[Any, Any]) -> Table:
             _both("gas enters", _inlet(gas)),
             _both("parcels per particle", str(gas.parcels_per_particle)),
         ]
-    rows += [(f"contact {'–'.join(pair)}", *(_contact(m, pair) for m in models)) for pair in hertz.named]
-    return Table(("", "linear", "Hertz"), tuple(rows), text=(0, 1, 2))
+    return rows
+
+
+def _each(name: str, texts: Iterable[str]) -> tuple[str, str, str]:
+    linear, hertz = texts
+    return (name, linear, hertz)
 
 
 def _both(name: str, text: str) -> tuple[str, str, str]:

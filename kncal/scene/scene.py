@@ -144,6 +144,11 @@ class Scene:
         group = replace(self.group, **changes)
         return replace(self, particles=dict.fromkeys(self.particles, group))
 
+    def with_settled(self, **changes: Any) -> Scene:
+        """Return the scene with changes of every group that settles before the run."""
+        groups = {n: replace(g, **changes) if g.place == "settled" else g for n, g in self.particles.items()}
+        return replace(self, particles=groups)
+
     def with_box(self, **changes: Any) -> Scene:
         """Return a coupled scene with changes of its box."""
         box = replace(self.box, **changes)

@@ -182,16 +182,16 @@ def _stiffness(found: Plan) -> float:
 def shared_case(scene: Scene, folder: Path) -> tuple[Path, tuple[str, ...]]:
     """Write the case that all candidates are variants of, from one start; return it, and what to know about it."""
     notes: tuple[str, ...] = ()
-    if scene.group.place == "settled" and scene.number:
+    if scene.settles:
         if fluidised(scene):
-            scene = scene.with_group(place="lattice", settle_k_n=None)
+            scene = scene.with_settled(place="lattice", settle_k_n=None)
             notes = (
                 "All runs start from the loose lattice, not from a settled bed: averages begin after the start-up,"
                 " which the gas makes in both, and settling a stiff bed takes as long as running it.",
             )
-        elif scene.group.settle_k_n is None:
+        elif all(group.settle_k_n is None for group in scene.particles.values()):
             k_n = settling_spring(scene)
-            scene = scene.with_group(settle_k_n=k_n)
+            scene = scene.with_settled(settle_k_n=k_n)
             notes = (f"All runs start from one packing, settled with k_n = {k_n:.3g} N/m.",)
     path = folder / "start" / scene.name / CASE
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -6,6 +6,7 @@ matters is found too. A value of no such order (the drag law) is exchanged for t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -128,9 +129,27 @@ def _walls(scene: Scene, _: str) -> Iterator[Part]:
         yield _not("walls", text, "every wall can be touched" if scene.walls else "the scene has no walls")
 
 
+def _sizes(scene: Scene, _: str) -> Iterator[Part]:
+    """One size in place of several: the Sauter mean of each group, with as much mass."""
+    text, changes = "the distribution of sizes", dict[str, Any]()
+    for name, group in scene.particles.items():
+        if group.sizes is not None:
+            one = replace(scene, particles={name: group})
+            key = f"particles.{name}"
+            changes |= {f"{key}.sizes": None, f"{key}.diameter": one.diameter}
+            count = round(one.volume / (math.pi / 6.0 * one.diameter**3))
+            changes |= {f"{key}.count": count} if group.count is not None else {}
+    if changes:
+        yield _part("sizes", text, OFF, "one size in each group, the Sauter mean", changes)
+    else:
+        yield _not("sizes", text, "every group has one size")
+
+
 def _front_back(scene: Scene, _: str) -> Iterator[Part]:
     text, found = "front and back walls", scene.front_back
-    if found == "layer":
+    if scene.run.coupling is None:
+        yield _not("front_back", text, "the particles are not in one box")
+    elif found == "layer":
         yield _not("front_back", text, "one layer of particles, held in its plane")
     elif found == "walls":
         yield _part("front_back", text, OFF, "periodic in depth", {"periodic": ["y"]})
@@ -143,6 +162,9 @@ def _depth(scene: Scene, _: str) -> Iterator[Part]:
     if not scene.coupled:
         why = f"LIGGGHTS computes in three dimensions always; {decide(scene).dimensions_reason}"
         yield _not("depth", "third dimension", why)
+        return
+    if scene.run.coupling is None:
+        yield _not("depth", "third dimension", "the particles are not in one box")
         return
     text, box, group, d = "depth of the bed", scene.box, scene.group, scene.diameter
     count = round(scene.number * d / box.depth)
@@ -251,6 +273,7 @@ PARTS = Registry(
     PartKind(name="damping", find=_damping),
     PartKind(name="contact_model", find=_contact_model),
     PartKind(name="walls", find=_walls, coupled=False),
+    PartKind(name="sizes", find=_sizes, coupled=True),
     PartKind(name="front_back", find=_front_back, coupled=True),
     PartKind(name="depth", find=_depth),
     PartKind(name="gas", find=_gas),
