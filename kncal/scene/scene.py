@@ -359,6 +359,7 @@ class Scene:
         domain = None if self.domain is None else (np.array(self.domain.low), np.array(self.domain.high))
         things = [bounds_of(wall, self.path_of) for wall in self.walls.values()]
         things += [group.bounds for group in self.particles.values()]
+        things += [(found.particles.x.min(axis=0), found.particles.x.max(axis=0)) for found in self.from_files.values()]
         things += [outlet.bounds for outlet in self.outlets.values()]
         return extent_of(domain, things, map(AXES.index, self.periodic), self.d_max)
 

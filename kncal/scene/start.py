@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kncal.core.checks import Array
+from kncal.core.errors import InputError
 from kncal.scene.bodies import AXES
 from kncal.scene.filling import fill
 from kncal.scene.groups import BoxRegion
@@ -31,7 +32,38 @@ def start_of(scene: Scene) -> Start:
     found: list[Start] = []
     for name in scene.particles:
         found.extend(_group(scene, name, _joined(found)))
-    return _joined(found)
+    start = _joined(found)
+    _check(scene, start)
+    return start
+
+
+def _check(scene: Scene, start: Start) -> None:
+    """Refuse particles that the case gives outside of the domain, or in one another by more than a radius."""
+    from scipy.spatial import cKDTree
+
+    low, high = scene.extent
+    outside = np.flatnonzero(((start.x < low) | (start.x > high)).any(axis=1))
+    if len(outside):
+        k = int(outside[0])
+        raise InputError(
+            f"{scene.name}: {len(outside)} particles start outside the domain {low.tolist()} to {high.tolist()} m, the "
+            f"first of {scene.classes[start.kind[k]].name} at {start.x[k].tolist()}: expected all inside, or a larger "
+            "[domain]"
+        )
+    radii = 0.5 * np.array([c.diameter for c in scene.classes])[start.kind]
+    periods = np.array([high[k] - low[k] if axis in scene.periodic else 0.0 for k, axis in enumerate(AXES)])
+    inside = np.where(periods > 0.0, (start.x - low) % np.where(periods > 0.0, periods, 1.0), start.x - low)
+    pairs = cKDTree(inside, boxsize=periods).query_pairs(2.0 * float(radii.max(initial=0.0)), output_type="ndarray")
+    apart = inside[pairs[:, 0]] - inside[pairs[:, 1]]
+    apart -= periods * np.round(apart / np.where(periods > 0.0, periods, np.inf))
+    one, other = radii[pairs[:, 0]], radii[pairs[:, 1]]
+    deep = np.flatnonzero(one + other - np.linalg.norm(apart, axis=1) >= np.minimum(one, other))
+    if len(deep):
+        i, j = pairs[deep[0]].tolist()
+        raise InputError(
+            f"{scene.name}: {len(deep)} pairs of particles start in one another by a radius or more, the first at "
+            f"{start.x[i].tolist()} and {start.x[j].tolist()}: expected less"
+        )
 
 
 def _group(scene: Scene, name: str, there: Start) -> Iterator[Start]:
