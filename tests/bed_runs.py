@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from kncal.record.facts import BedFacts
+from kncal.record.facts import HEIGHTS, BedFacts
 from kncal.record.series import UNITS, BedSeries
 
 EDGES = tuple(float(edge) for edge in np.linspace(0.0, 1e-4, 201))
@@ -28,8 +28,17 @@ def facts(**changes: Any) -> BedFacts:
         "jet": False,
         "coupling": 1e-3,
         "histogram_edges": EDGES,
-    }
-    return BedFacts(**(values | changes))
+        "low": (0.0, 0.0, 0.0),
+        "periodic": (),
+        "up": (0.0, 0.0, 1.0),
+        "groups": ("beads",),
+        "pairs": ((0, 0), (0, 1)),
+        "walls": (),
+        "outlets": (),
+    } | changes
+    d, density = values["diameter"], values["density"]
+    of_one = {"radii": (0.5 * d,), "masses": (density * math.pi / 6.0 * d**3,), "numbers": (values["count"],)}
+    return BedFacts(**(of_one | values))
 
 
 def series(of: BedFacts, couplings: int, **arrays: Any) -> BedSeries:
@@ -39,7 +48,8 @@ def series(of: BedFacts, couplings: int, **arrays: Any) -> BedSeries:
     rows: dict[str, Any] = {name: np.zeros(couplings) for name in UNITS}
     rows["coupling"] = np.arange(1, couplings + 1)
     rows["t"] = rows["coupling"] * of.coupling
-    rows["weight"] = np.full(couplings, of.weight)
+    rows |= {"weight": np.full(couplings, of.weight), "mass": np.full(couplings, of.mass)}
+    rows["number"] = np.full(couplings, float(of.count))
     frames = max((len(arrays[name]) for name in ("x", "eps_g", "p") if name in arrays), default=0)
     gas_frames = frames if of.gas_density else 0
     number = every * np.arange(1, frames + 1)
@@ -48,16 +58,21 @@ def series(of: BedFacts, couplings: int, **arrays: Any) -> BedSeries:
         "watched": np.zeros(couplings),
         "impacts": np.zeros((couplings, 2, of.impact_bins), dtype=np.int32),
         "impact_sums": np.zeros((couplings, 2, 3)),
+        "out_number": np.zeros((couplings, len(of.outlets)), dtype=np.int64),
+        "out_mass": np.zeros((couplings, len(of.outlets))),
+        "wall_force": np.zeros((couplings, len(of.walls), HEIGHTS, 3)),
         "frame_coupling": number,
         "t_frame": number * of.coupling,
         "x": np.zeros((frames, of.count, 3)),
         "v": np.zeros((frames, of.count, 3)),
+        "spin": np.zeros((frames, of.count, 3)),
+        "kind": np.zeros((frames, of.count), dtype=np.int16),
         "eps_g": np.ones((gas_frames, nz, ny, nx)),
         "p": np.zeros((gas_frames, nz, ny, nx)),
         "U": np.zeros((gas_frames, nz, ny, nx, 3)),
     }
     values = rows | rest | arrays
-    for name in ("x", "v", "eps_g", "p", "U"):
+    for name in ("x", "v", "spin", "eps_g", "p", "U"):
         values[name] = np.asarray(values[name], dtype=np.float32)
     return BedSeries(facts=of, **values)
 

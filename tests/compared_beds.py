@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from kncal.observe.run_data import RunData
 from kncal.physics.material import Material
-from kncal.record.facts import bed_facts
+from kncal.record.facts import HEIGHTS, bed_facts
 from kncal.record.outcome import RunResult
 from kncal.record.series import BedSeries
 from kncal.scene.contact import ContactChoice
@@ -110,6 +110,9 @@ def run_data(
         weight=np.full(n, facts.weight),
         momentum_z=np.zeros(n),
         kinetic_energy=signal["kinetic_energy"],
+        kinetic_rotation=np.zeros(n),
+        number=np.full(n, float(facts.count)),
+        mass=np.full(n, facts.mass),
         z_mean=signal["z_mean"],
         z_95=1.9 * signal["z_mean"],
         overlap_max=overlaps.max(axis=1),
@@ -123,11 +126,16 @@ def run_data(
         watched=np.zeros(n),
         impacts=np.zeros((n, 2, 0), dtype=np.int32),
         impact_sums=np.zeros((n, 2, 3)),
+        out_number=np.zeros((n, 0), dtype=np.int64),
+        out_mass=np.zeros((n, 0)),
+        wall_force=np.zeros((n, 0, HEIGHTS, 3)),
         histogram=np.stack([np.histogram(row, edges)[0] for row in overlaps]).astype(np.int64),
         frame_coupling=frames.astype(np.int64),
         t_frame=COUPLING * frames,
         x=x.astype(np.float32),
         v=(0.1 * generator.standard_normal(x.shape)).astype(np.float32),
+        spin=np.zeros(x.shape, dtype=np.float32),
+        kind=np.zeros(x.shape[:2], dtype=np.int16),
         eps_g=eps_g.astype(np.float32),
         p=np.broadcast_to(1e3 * (1.0 - z / nz)[None, :, None, None], eps_g.shape).astype(np.float32),
         U=np.zeros((*eps_g.shape, 3), dtype=np.float32),

@@ -1,6 +1,6 @@
 """What an engine is, and the two sides of a coupled one: the gas and the particles.
 
-Row order: every particle array has one row per particle, in the order of the particles' ids (row i is id i+1), always.
+Row order: every particle array has one row for each particle that will ever be there, always the same one.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from kncal.core.errors import InputError, KncalError, ReadError, SolverMissingEr
 from kncal.record.frames import Trajectory
 from kncal.record.liggghts_dump import read_trajectory
 from kncal.record.outcome import RunResult
-from kncal.record.steps import DemStep, GasFields, GasStep
+from kncal.record.steps import DemStep, GasFields, GasStep, ParticleState
 from kncal.scene.gas import Jet
 from kncal.scene.model import Plan
 from kncal.scene.placement import Start
@@ -281,18 +281,22 @@ class GasSolver(_Side, Protocol):
 
 
 class ParticleSolver(_Side, Protocol):
-    """The particles at work; `histogram_edges` [m] and `impact_edges` [m/s] as in `kncal.record.facts.BedFacts`."""
+    """The particles at work; `histogram_edges` [m] and `impact_edges` [m/s] as in `kncal.record.facts.BedFacts`.
+
+    ``walls``: names of the walls whose forces it tells.
+    """
 
     histogram_edges: Array
     impact_edges: Array
+    walls: tuple[str, ...]
 
-    def state(self) -> tuple[Array, Array]:
-        """Return positions [m] and velocities [m/s], both (n, 3), by id."""
+    def state(self) -> ParticleState:
+        """Return a copy of the particles as they are."""
         ...
 
-    def run(self, steps: int, force: Array) -> DemStep | None:
+    def run(self, steps: int, force: Array | None) -> DemStep | None:
         """Hold ``force`` (n, 3) [N] on the particles and run; RunError if the solver ends, hangs or loses particles.
 
-        None: nothing was observed, since nothing moves.
+        ``force`` None: there is no gas. What is returned is None if nothing was observed, since nothing moves.
         """
         ...

@@ -39,11 +39,12 @@ from kncal.engines.drive import drive
 from kncal.engines.liggghts.deck import DATA, DECK, bed_deck, write_deck
 from kncal.engines.liggghts.installed import look as look_for_liggghts
 from kncal.engines.liggghts.library import LiggghtsDem
-from kncal.engines.liggghts.library_child import histogram_edges
+from kncal.engines.liggghts.shared import histogram_edges
 from kncal.engines.settle import start_positions
 from kncal.record.liggghts_log import END_MARKER
 from kncal.record.outcome import RunResult
 from kncal.record.series import PIECES, SERIES, read_series, series_reaches, write_series_csv
+from kncal.record.steps import ParticleState
 from kncal.scene.model import Plan
 from kncal.scene.placement import Start
 from kncal.scene.scene import Scene
@@ -105,13 +106,14 @@ class Still:
 
     def __init__(self, positions: Array, diameter: float) -> None:
         self.histogram_edges, self.impact_edges = histogram_edges(diameter), np.zeros(0)
-        self._state = (positions, np.zeros_like(positions))
+        self.walls: tuple[str, ...] = ()
+        self._state = ParticleState.at_rest(positions)
 
-    def state(self) -> tuple[Array, Array]:
-        """Return positions [m] and velocities [m/s], both (n, 3)."""
+    def state(self) -> ParticleState:
+        """Return the particles."""
         return self._state
 
-    def run(self, steps: int, force: Array) -> None:
+    def run(self, steps: int, force: Array | None) -> None:
         """Leave everything as it is."""
 
     def save(self, folder: Path) -> None:

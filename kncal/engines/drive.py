@@ -96,7 +96,7 @@ def drive(
     """
     begin, saved = awake(), time.monotonic()
     spent, flow = _Meter(particles, gas, before or {}), None if gas is None else _GasSide(plan, gas)
-    facts = bed_facts(plan, particles.histogram_edges, particles.impact_edges)
+    facts = bed_facts(plan, particles.histogram_edges, particles.impact_edges, particles.walls)
     with stop_where_it_suits() as stop, SeriesWriter(folder / PIECES, facts) as series:
 
         def keep(number: int) -> None:
@@ -104,17 +104,16 @@ def drive(
             save_gas = None if gas is None else gas.save
             write_checkpoint(folder, number, asdict(spent(number)), save_gas, particles.save)
 
-        x, v = particles.state()
+        state = particles.state()
         if first == 0 and gas is None:
-            series.frame(0, x, v, None)  # with gas there are no fields before the first step
+            series.frame(0, state, None)  # with gas there are no fields before the first step
         for number in range(first + 1, plan.couplings + 1):
-            inlet, gas_step = (0.0, None) if flow is None else flow(x, v, number)
-            force = np.zeros_like(x) if gas_step is None else gas_step.force
-            dem_step = particles.run(plan.steps_per_coupling, force)
-            x, v = particles.state()
-            series.add(number, inlet, gas_step, dem_step, x, v)
+            inlet, gas_step = (0.0, None) if flow is None else flow(state.x, state.v, number)
+            dem_step = particles.run(plan.steps_per_coupling, None if gas_step is None else gas_step.force)
+            state = particles.state()
+            series.add(number, inlet, gas_step, dem_step, state)
             if number % plan.frames_every == 0:
-                series.frame(number, x, v, None if gas is None else gas.fields())
+                series.frame(number, state, None if gas is None else gas.fields())
             if stop():
                 keep(number)
                 raise KeyboardInterrupt

@@ -150,7 +150,6 @@ def _settle(model: Plan, start: Start, tell: Tell, progress: Progress | None) ->
         )
     chunk = max(1, round(math.sqrt(d / g) / model.dt))
     looks = math.ceil(PATIENCE * fall / (chunk * model.dt))
-    nothing = np.zeros_like(start.x)
     falling = math.ceil(fall / (chunk * model.dt))
     quiet, shares = 0, [math.inf]
     said = _Said(scene, chunk * (falling + _USUAL), model.dt, tell, progress)
@@ -158,14 +157,14 @@ def _settle(model: Plan, start: Start, tell: Tell, progress: Progress | None) ->
         said(chunk * (falling + _USUAL), 0, 0)
         for look in range(looks):
             total = chunk * (look + min(_looks_left(shares, falling), looks - look))
-            _run_in_parts(dem, chunk, nothing, partial(said, total, chunk * look))
-            x, v = dem.state()
-            share = float(0.5 * np.mean(np.sum(v * v, axis=1)) / (g * d))
+            _run_in_parts(dem, chunk, len(start.x), partial(said, total, chunk * look))
+            state = dem.state()
+            share = float(0.5 * np.mean(np.sum(state.v * state.v, axis=1)) / (g * d))
             shares.append(share)
             quiet = quiet + 1 if share < RESTING else 0
             if quiet == 2:
                 said(chunk * (look + 1), chunk * (look + 1), 0)
-                return replace(start, x=x, v=np.zeros_like(x), spin=np.zeros_like(x))
+                return Start.at(state.x[: len(start.x)], kind=start.kind)
     raise RunError(
         f"{scene.name}: the particles did not settle in {looks * chunk * model.dt:.3g} s: mean kinetic energy "
         f"{share:.2g} m g d, expected below {RESTING:g}; take e_n below 1, a smaller time step, or "
@@ -180,13 +179,13 @@ def _corners(scene: Scene) -> Iterator[Array]:
         yield np.array(corner)
 
 
-def _run_in_parts(dem: LiggghtsDem, steps: int, force: Array, told: Callable[[int], None]) -> None:
+def _run_in_parts(dem: LiggghtsDem, steps: int, particles: int, told: Callable[[int], None]) -> None:
     """Run ``steps`` in parts of a few seconds, and tell after each how many are done."""
-    part, done = max(1, _PART // len(force)), 0
+    part, done = max(1, _PART // particles), 0
     while done < steps:
         check_stop()
         number = min(part, steps - done)
-        dem.run(number, force)
+        dem.run(number)
         done += number
         told(done)
 

@@ -131,7 +131,7 @@ def _of_signals(data: RunData, reference: RunData | None) -> tuple[Sign, ...]:
     found = [
         _overlap_share(largest / (0.5 * d), "between two particles, of the whole run"),
         _mean_overlap(mean / d),
-        _leaking(_beyond(series.x, series.facts.size, series.facts.front_back), largest / (0.5 * d)),
+        _leaking(sum(_beyond(x, series.facts.size, series.facts.front_back) for x in series.x), largest / (0.5 * d)),
         *model_signs(model),
     ]
     if reference is not None and np.isfinite(reference.series.contacts).any():
@@ -170,7 +170,7 @@ def _contact_number(data: RunData, reference: RunData) -> Sign:
 
 
 def _beyond(x: Array | np.ndarray[tuple[int, ...], np.dtype[np.float32]], size: Iterable[float], depth: str) -> int:
-    """Count the centres, in all frames (frames, n, 3), that are beyond a wall of the box 0 … size."""
+    """Count the centres (n, 3) that are beyond a wall of the box 0 … size."""
     high = np.array(tuple(size))
     outside = (x < 0.0) | (x > high)
     if depth != "walls":

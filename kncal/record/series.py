@@ -9,19 +9,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kncal.core.arrays import read_npz
+from kncal.core.arrays import npz_shapes, read_npz
 from kncal.core.checks import Array
 from kncal.core.errors import InputError, ReadError
 from kncal.core.files import read_json, replacing, write_csv, write_json
-from kncal.record.facts import BedFacts
-from kncal.record.steps import DemStep, GasFields, GasStep
+from kncal.record.facts import HEIGHTS, BedFacts
+from kncal.record.frame_stack import FrameStack, Pieces
+from kncal.record.steps import DemStep, GasFields, GasStep, ParticleState
 
 #: Folder of the pieces in a run's folder, and the table of the numbers per coupling beside it.
 PIECES, SERIES = "series", "series.csv"
@@ -31,18 +32,21 @@ PIECE_SECONDS = 30.0
 #: A larger piece is refused when read [bytes].
 MAX_PIECE_BYTES = 1024**3
 
+#: An array of all frames; of a run that was read it is a `FrameStack`, which is indexed likewise.
 Frames = NDArray[np.float32]
 
 #: Unit of each number of a coupling.
 UNITS: Mapping[str, str] = {
     "coupling": "-", "t": "s", "U_0": "m/s", "p_in": "Pa", "floor": "N", "walls": "N", "drag_z": "N", "weight": "N",
-    "momentum_z": "kg m/s", "kinetic_energy": "J", "z_mean": "m", "z_95": "m", "overlap_max": "m",
-    "overlap_mean": "m", "contacts": "-", "reaction_error": "-", "not_passed": "-", "solids_error": "-",
-    "eps_g_min": "-", "courant_max": "-",
+    "momentum_z": "kg m/s", "kinetic_energy": "J", "kinetic_rotation": "J", "number": "-", "mass": "kg", "z_mean": "m",
+    "z_95": "m", "overlap_max": "m", "overlap_mean": "m", "contacts": "-", "reaction_error": "-", "not_passed": "-",
+    "solids_error": "-", "eps_g_min": "-", "courant_max": "-",
 }  # fmt: skip
-_PER_COUPLING = ("rows", "histogram", "watched", "impacts", "impact_sums")
-_PER_FRAME = ("frame_coupling", "t_frame", "x", "v")
+_PER_COUPLING = ("rows", "histogram", "watched", "impacts", "impact_sums", "out_number", "out_mass", "wall_force")
+_OF_PARTICLES = ("x", "v", "spin", "kind")
+_PER_FRAME = ("frame_coupling", "t_frame", *_OF_PARTICLES)
 _PER_GAS_FRAME = ("eps_g", "p", "U")
+_LARGE = (*_OF_PARTICLES, *_PER_GAS_FRAME)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,23 +61,28 @@ class BedSeries:
     coupling : number of the coupling, from 1, increasing by 1
     t : time [s]; U_0 : superficial inlet velocity [m/s]
     p_in : mean gauge pressure at the inlet patch [Pa]
-    floor, walls : vertical force of the particles on the floor, and on side walls and lid, positive downwards, mean
-        over the interval [N]
+    floor, walls : force of the particles on the floor, and on all other walls, positive downwards, mean over the
+        interval [N]; NaN as in `kncal.record.steps.DemStep`
     drag_z : sum of the gas forces on the particles, buoyancy included, upwards [N]
-    weight : of the particles [N]; momentum_z : of the particles, upwards [kg m/s]
-    kinetic_energy : of the particles' translation [J]
+    number, mass : of the particles that are there [-], [kg]; weight : theirs [N]
+    momentum_z : of the particles, upwards [kg m/s]
+    kinetic_energy, kinetic_rotation : of the particles' translation and rotation [J]
     z_mean, z_95 : mean and 95 % quantile of the heights of the particle centres [m]
     overlap_max, overlap_mean : of the particle contacts in the interval [m]; contacts : their number
     reaction_error, not_passed : see `kncal.record.steps.GasStep`, relative to the weight
     solids_error, eps_g_min, courant_max : see `GasStep`
     histogram : (couplings, bins) counts of overlaps, edges in ``facts.histogram_edges``
     watched : (couplings,) time in which new contacts were watched for [s]; 0 where impacts were not recorded
-    impacts : (couplings, 2, bins) counts of the impact speeds of new contacts of two particles, and of a particle and a
-        wall, edges in ``facts.impact_edges`` (no bins where they were not recorded)
-    impact_sums : (couplings, 2, 3) sums over the same impacts of v, v², v³
+    impacts : (couplings, pairs, bins) counts of the impact speeds of new contacts by pair of species
+        (``facts.pairs``), edges in ``facts.impact_edges`` (no bins where they were not recorded)
+    impact_sums : (couplings, pairs, 3) sums over the same impacts of v, v², v³
+    out_number, out_mass : (couplings, outlets) number and mass [kg] of the particles that have passed each outlet
+    wall_force : (couplings, walls, heights, 3) force of the particles on each wall, by intervals of height
+        (``facts.heights``), at the end of the coupling [N]
     frame_coupling : (frames,) coupling after which a frame was taken, 0 for the start
     t_frame : (frames,) [s]
-    x, v : (frames, particles, 3) [m], [m/s], single precision
+    x, v, spin : (frames, particles, 3) [m], [m/s], [rad/s], single precision; NaN for those that are not there
+    kind : (frames, particles) species of each, -1 for those that are not there
     eps_g, p, U : (frames, nz, ny, nx) void fraction, gauge pressure [Pa]; (frames, nz, ny, nx, 3) [m/s]; single
         precision; no frames (first axis 0) without gas
     """
@@ -89,6 +98,9 @@ class BedSeries:
     weight: Array
     momentum_z: Array
     kinetic_energy: Array
+    kinetic_rotation: Array
+    number: Array
+    mass: Array
     z_mean: Array
     z_95: Array
     overlap_max: Array
@@ -103,10 +115,15 @@ class BedSeries:
     watched: Array
     impacts: NDArray[np.int32]
     impact_sums: Array
+    out_number: NDArray[np.int64]
+    out_mass: Array
+    wall_force: Array
     frame_coupling: NDArray[np.int64]
     t_frame: Array
     x: Frames
     v: Frames
+    spin: Frames
+    kind: NDArray[np.int16]
     eps_g: Frames
     p: Frames
     U: Frames
@@ -145,41 +162,35 @@ class SeriesWriter:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def add(self, coupling: int, U_0: float, gas: GasStep | None, dem: DemStep | None, x: Array, v: Array) -> None:
+    def add(self, coupling: int, U_0: float, gas: GasStep | None, dem: DemStep | None, state: ParticleState) -> None:
         """Take the numbers of one coupling.
 
         Parameters
         ----------
         coupling : int
-            From 1; the time is ``coupling * facts.coupling``.
+            Its number, from 1.
         U_0 : float
-            Superficial inlet velocity of this interval [m/s].
-        gas : GasStep or None
-            None without gas: no force, no pressure, the rest NaN.
-        dem : DemStep or None
+            Superficial inlet velocity in it [m/s].
+        gas, dem : GasStep, DemStep or None
+            What gas and particles said. None without gas: its numbers become 0 (pressure, drag) or NaN (others);
             None with frozen particles: NaN.
-        x, v : (n, 3) arrays
-            Positions [m] and velocities [m/s] at the end of the interval.
+        state : ParticleState
+            At the end of the interval.
         """
         # Only here: a piece holds the frames of its couplings, so that a later piece replaces whole couplings.
         if self._bytes > PIECE_BYTES or time.monotonic() - self._written_at > PIECE_SECONDS:
             self.flush()
-        facts = self.facts
         nan = float("nan")
-        mass, weight = facts.mass / max(facts.count, 1), facts.weight
         row = dict.fromkeys(UNITS, nan) | {
             "coupling": float(coupling),
-            "t": coupling * facts.coupling,
+            "t": coupling * self.facts.coupling,
             "U_0": U_0,
             "p_in": 0.0,
             "drag_z": 0.0,
-            "weight": weight,
-            "momentum_z": mass * float(v[:, 2].sum()),
-            "kinetic_energy": 0.5 * mass * float(np.einsum("ij,ij->", v, v)),
-            "z_mean": float(x[:, 2].mean()) if len(x) else nan,
-            "z_95": _quantile(x[:, 2], 0.95) if len(x) else nan,
         }
+        row |= _of_particles(self.facts, state)
         if gas is not None:
+            weight = row["weight"]
             row |= {name: getattr(gas, name) for name in ("p_in", "solids_error", "eps_g_min", "courant_max")}
             row["drag_z"] = float(gas.force[:, 2].sum())
             row["reaction_error"] = gas.reaction_error / weight if weight else nan
@@ -188,8 +199,7 @@ class SeriesWriter:
         if dem is not None:
             row |= {name: getattr(dem, name) for name in ("overlap_max", "overlap_mean", "contacts")}
             row |= {"floor": dem.floor_force, "walls": dem.other_walls_force}
-            kept |= {"histogram": dem.histogram, "watched": dem.watched}
-            kept |= {"impacts": dem.impacts, "impact_sums": dem.impact_sums}
+            kept |= {name: getattr(dem, name) for name in _PER_COUPLING[1:]}
         kept["rows"] = [row[name] for name in UNITS]
         self._keep(_PER_COUPLING, kept)
 
@@ -201,13 +211,13 @@ class SeriesWriter:
             self._kept[name].append(value)
             self._bytes += value.nbytes
 
-    def frame(self, coupling: int, x: Array, v: Array, fields: GasFields | None) -> None:
+    def frame(self, coupling: int, state: ParticleState, fields: GasFields | None) -> None:
         """Record a frame after coupling ``coupling`` (0: the start), before the next `add`; copies what it is given.
 
-        ``x``, ``v`` as in `add`; ``fields`` None without gas.
+        ``fields`` None without gas.
         """
-        time = coupling * self.facts.coupling
-        self._keep(_PER_FRAME, {"frame_coupling": coupling, "t_frame": time, "x": x, "v": v})
+        numbers = {"frame_coupling": coupling, "t_frame": coupling * self.facts.coupling}
+        self._keep(_PER_FRAME, numbers | {name: getattr(state, name) for name in _OF_PARTICLES})
         if fields is not None:
             self._keep(_PER_GAS_FRAME, {name: getattr(fields, name) for name in _PER_GAS_FRAME})
 
@@ -234,6 +244,8 @@ class SeriesWriter:
 def read_series(folder: Path) -> BedSeries:
     """Read the series that `SeriesWriter` wrote into ``folder``, of a finished, a running or a dead run.
 
+    Frames stay on the disk until they are asked for.
+
     Raises
     ------
     ReadError
@@ -243,20 +255,30 @@ def read_series(folder: Path) -> BedSeries:
     paths = sorted(folder.glob("piece-*.npz"), key=_piece_number)
     if not paths:
         raise ReadError(f"{folder}: no piece-*.npz; expected the series of a run (did it end before its first piece?)")
-    kept: list[dict[str, NDArray[Any]]] = []
+    kept: list[_Part] = []
     for path in paths:
-        piece = _read_piece(path, facts)
-        numbers = np.concatenate([piece["rows"][:, 0], piece["frame_coupling"]])
-        kept = [_before(int(numbers.min()), earlier) for earlier in kept]  # computed anew after a checkpoint
-        kept.append(piece)
-    whole = {name: np.concatenate([piece[name] for piece in kept]) for name in kept[0]}
+        part = _read_part(path, facts)
+        numbers = np.concatenate([part.arrays["rows"][:, 0], part.arrays["frame_coupling"]])
+        kept = [earlier.before(int(numbers.min())) for earlier in kept]  # computed anew after a checkpoint
+        kept.append(part)
+    whole = {name: np.concatenate([part.arrays[name] for part in kept]) for name in kept[0].arrays}
     rows = whole.pop("rows")
     coupling = rows[:, 0].astype(np.int64)
     if len(coupling) and not np.array_equal(coupling, np.arange(1, len(coupling) + 1)):
         at = int(np.flatnonzero(coupling != np.arange(1, len(coupling) + 1))[0]) + 1
         raise ReadError(f"{folder}: coupling {at} is missing; expected every coupling from 1 on (was a piece deleted?)")
     table: dict[str, Any] = {name: rows[:, i].astype(np.float64) for i, name in enumerate(UNITS)}
-    return BedSeries(facts=facts, **(table | {"coupling": coupling}), **whole)
+    return BedSeries(facts=facts, **(table | {"coupling": coupling}), **whole, **_stacks(facts, kept))
+
+
+def _stacks(facts: BedFacts, parts: list[_Part]) -> dict[str, Any]:
+    """Return the large arrays, of which each frame is read when it is asked for."""
+    pieces, shapes = Pieces(lambda path: read_npz(path, MAX_PIECE_BYTES)), _shapes(facts)
+    places = [(part.path, row) for part in parts for row in part.frames]
+    of_gas = [(part.path, row) for part in parts if part.has_gas for row in part.frames]
+    return {name: FrameStack(pieces, name, places, *shapes[name]) for name in _OF_PARTICLES} | {
+        name: FrameStack(pieces, name, of_gas, *shapes[name]) for name in _PER_GAS_FRAME
+    }
 
 
 def series_reaches(folder: Path, coupling: int) -> bool:
@@ -265,7 +287,7 @@ def series_reaches(folder: Path, coupling: int) -> bool:
     try:
         facts = _read_facts(folder)
         for path in folder.glob("piece-*.npz"):
-            there.update(_read_piece(path, facts)["rows"][:, 0].astype(np.int64).tolist())
+            there.update(_read_part(path, facts).arrays["rows"][:, 0].astype(np.int64).tolist())
     except ReadError:
         return False
     return len(there.intersection(range(1, coupling + 1))) == coupling
@@ -302,14 +324,6 @@ def _read_facts(folder: Path) -> BedFacts:
         raise ReadError(f"{path}: {error}") from error
 
 
-def _before(coupling: int, piece: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    rows = piece["rows"][:, 0] < coupling
-    frames = piece["frame_coupling"] < coupling
-    gas = frames if len(piece["eps_g"]) else np.zeros(0, dtype=bool)
-    masks = dict.fromkeys(_PER_COUPLING, rows) | dict.fromkeys(_PER_FRAME, frames) | dict.fromkeys(_PER_GAS_FRAME, gas)
-    return {name: array[masks[name]] for name, array in piece.items()}
-
-
 def _shapes(facts: BedFacts) -> dict[str, tuple[type[np.generic], tuple[int, ...]]]:
     """Return kind and shape of one value of every array in a piece."""
     nx, ny, nz = facts.cells
@@ -317,31 +331,80 @@ def _shapes(facts: BedFacts) -> dict[str, tuple[type[np.generic], tuple[int, ...
         "rows": (np.float64, (len(UNITS),)),
         "histogram": (np.int64, (len(facts.histogram_edges) - 1,)),
         "watched": (np.float64, ()),
-        "impacts": (np.int32, (2, facts.impact_bins)),
-        "impact_sums": (np.float64, (2, 3)),
+        "impacts": (np.int32, (len(facts.pairs), facts.impact_bins)),
+        "impact_sums": (np.float64, (len(facts.pairs), 3)),
+        "out_number": (np.int64, (len(facts.outlets),)),
+        "out_mass": (np.float64, (len(facts.outlets),)),
+        "wall_force": (np.float64, (len(facts.walls), HEIGHTS, 3)),
         "frame_coupling": (np.int64, ()),
         "t_frame": (np.float64, ()),
         "x": (np.float32, (facts.count, 3)),
         "v": (np.float32, (facts.count, 3)),
+        "spin": (np.float32, (facts.count, 3)),
+        "kind": (np.int16, (facts.count,)),
         "eps_g": (np.float32, (nz, ny, nx)),
         "p": (np.float32, (nz, ny, nx)),
         "U": (np.float32, (nz, ny, nx, 3)),
     }
 
 
-def _read_piece(path: Path, facts: BedFacts) -> dict[str, NDArray[Any]]:
+@dataclass(frozen=True)
+class _Part:
+    """What is in memory of one piece: its small arrays; ``frames``: rows of the frames in its large ones."""
+
+    path: Path
+    arrays: dict[str, NDArray[Any]]
+    frames: list[int]
+    has_gas: bool
+
+    def before(self, coupling: int) -> _Part:
+        """Return the part without what is of ``coupling`` and later."""
+        rows, frames = self.arrays["rows"][:, 0] < coupling, self.arrays["frame_coupling"] < coupling
+        arrays = {name: a[frames if name in _PER_FRAME else rows] for name, a in self.arrays.items()}
+        return replace(self, arrays=arrays, frames=[row for row, keep in zip(self.frames, frames, strict=True) if keep])
+
+
+def _read_part(path: Path, facts: BedFacts) -> _Part:
     """Read one piece; every array is there, without rows if the piece has none, and has the shape it must have."""
-    arrays, shapes = read_npz(path, MAX_PIECE_BYTES), _shapes(facts)
+    there, shapes = npz_shapes(path, MAX_PIECE_BYTES), _shapes(facts)
     for name, (kind, shape) in shapes.items():
-        if name not in arrays:
+        if name not in there:
             raise ReadError(f"{path}: no {name}; expected {', '.join(shapes)}")
-        array = arrays[name]
-        if array.dtype != kind or array.shape[1:] != shape:
-            raise ReadError(f"{path}: {name} is {array.dtype} {array.shape}; expected {kind.__name__} (any, {shape})")
+        found = there[name]
+        if found.dtype != kind or len(found.shape) != 1 + len(shape) or found.shape[1:] != shape:
+            raise ReadError(f"{path}: {name} is {found.dtype} {found.shape}; expected {kind.__name__} (any, {shape})")
     for names in (_PER_COUPLING, _PER_FRAME, _PER_GAS_FRAME):
-        lengths = {name: len(arrays[name]) for name in names}
+        lengths = {name: there[name].shape[0] for name in names}
         if len(set(lengths.values())) > 1:
             raise ReadError(f"{path}: arrays of unequal length: {lengths}; expected as many of each")
-    if not len(arrays["rows"]) and not len(arrays["frame_coupling"]):
+    frames, of_gas = there["x"].shape[0], there["p"].shape[0]
+    if not there["rows"].shape[0] and not frames:
         raise ReadError(f"{path}: empty; expected rows or frames")
-    return {name: arrays[name] for name in shapes}
+    if of_gas not in (0, frames):
+        raise ReadError(f"{path}: {of_gas} frames of the gas; expected none, or {frames} as of the particles")
+    small = [name for name in shapes if name not in _LARGE]
+    arrays = read_npz(path, MAX_PIECE_BYTES, small)
+    return _Part(path, {name: arrays[name] for name in small}, list(range(frames)), of_gas > 0)
+
+
+def _of_particles(facts: BedFacts, state: ParticleState) -> dict[str, float]:
+    """Return what positions and velocities of the particles that are there add up to."""
+    there = state.kind >= 0
+    x, v, spin, kind = (
+        (state.x, state.v, state.spin, state.kind)
+        if there.all()
+        else (part[there] for part in (state.x, state.v, state.spin, state.kind))
+    )
+    up, mass = np.array(facts.up), np.array(facts.masses)[kind]
+    inertia = 0.4 * mass * np.array(facts.radii)[kind] ** 2
+    heights = x @ up
+    return {
+        "number": float(len(x)),
+        "mass": float(mass.sum()),
+        "weight": float(mass.sum()) * facts.gravity,
+        "momentum_z": float(mass @ (v @ up)),
+        "kinetic_energy": 0.5 * float(mass @ np.einsum("ij,ij->i", v, v)),
+        "kinetic_rotation": 0.5 * float(inertia @ np.einsum("ij,ij->i", spin, spin)),
+        "z_mean": float(heights.mean()) if len(x) else float("nan"),
+        "z_95": _quantile(heights, 0.95) if len(x) else float("nan"),
+    }

@@ -1,11 +1,15 @@
 """What gas and particles say of one coupling interval.
 
-Row order: every particle array has one row per particle, in the order of the particles' ids (row i is id i+1), always.
+Row order: every particle array has one row for each particle that will ever be there, always the same one.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from kncal.core.checks import Array
 
@@ -53,22 +57,47 @@ class GasFields:
     U: Array
 
 
-@dataclass(frozen=True, kw_only=True)
-class DemStep:
-    """Contacts during one coupling interval.
+class ParticleState(NamedTuple):
+    """All particles at one time; NaN in the rows of those that are not there: not yet inserted, or gone.
 
     Attributes
     ----------
-    floor_force : force of the particles on the floor, time mean over the interval [N], positive downwards
-    other_walls_force : vertical force of the particles on the side walls (friction) and the lid, likewise; what the
-        momentum balance of the particles leaves for them
+    x, v, spin : (n, 3) [m], [m/s], [rad/s]; periodic coordinates within the domain
+    kind : (n,) number of each one's species, -1 for those that are not there
+    """
+
+    x: Array
+    v: Array
+    spin: Array
+    kind: NDArray[np.int64]
+
+    @classmethod
+    def at_rest(cls, x: Array) -> ParticleState:
+        """Return particles at rest at ``x`` (n, 3) [m], all of the first species."""
+        return cls(x, np.zeros_like(x), np.zeros_like(x), np.zeros(len(x), dtype=np.int64))
+
+
+@dataclass(frozen=True, kw_only=True)
+class DemStep:
+    """Contacts during one coupling interval, and what passed outlets until its end.
+
+    Pairs are those of `kncal.record.facts.BedFacts.pairs`; walls, outlets and heights are those of its lists.
+
+    Attributes
+    ----------
+    floor_force : force of the particles on the floor, time mean over the interval [N], positive downwards; NaN for a
+        scene that has none
+    other_walls_force : likewise on all other walls; what the momentum balance of the particles leaves for them, NaN
+        where particles come or go
     contacts : number of particle-particle contacts (mean over the samples)
     overlap_max, overlap_mean : over the interval's samples of all particle-particle contacts [m]
     histogram : (bins,) counts of overlaps, summed over the samples; edges in `Dem.histogram_edges`
     watched : time in which new contacts were watched for [s]
-    impacts : (2, bins) counts of the impact speeds of new contacts of two particles, and of a particle and a wall;
-        edges in `Dem.impact_edges`
-    impact_sums : (2, 3) sums over the same impacts of v [m/s], v² and v³
+    impacts : (pairs, bins) counts of the impact speeds of new contacts, by pair of species; edges in
+        `Dem.impact_edges`
+    impact_sums : (pairs, 3) sums over the same impacts of v [m/s], v² and v³
+    out_number, out_mass : (outlets,) number and mass [kg] of the particles that passed each since the start
+    wall_force : (walls, heights, 3) force of the particles on each wall, by height, at the end of the interval [N]
     """
 
     floor_force: float
@@ -80,3 +109,6 @@ class DemStep:
     watched: float
     impacts: Array
     impact_sums: Array
+    out_number: Array
+    out_mass: Array
+    wall_force: Array

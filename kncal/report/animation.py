@@ -139,7 +139,7 @@ def _stage(runs: Mapping[str, BedSeries]) -> _Stage:
     if not runs or any(not len(series.t_frame) for series in runs.values()):
         raise InputError("no frames to draw: expected runs with recorded frames")
     speeds = [np.quantile(np.linalg.norm(series.v[:: _stride(series)], axis=2), 0.99) for series in runs.values()]
-    highest = max(float(series.x[..., 2].max() + series.facts.diameter) for series in runs.values())
+    highest = max(float(max(np.nanmax(x[:, 2]) for x in series.x) + series.facts.diameter) for series in runs.values())
     lid = next(iter(runs.values())).facts.size[2]
     return _Stage(runs, fastest=max(float(max(speeds)), 1e-6), top=min(1.05 * highest, lid))
 

@@ -12,7 +12,15 @@ from beds import BOX, D, G, model, scene, still
 from scipy.optimize import brentq
 
 from kncal.core.checks import Array
-from kncal.engines.liggghts.impacts import Before, count_speeds, pair_speeds, speed_edges, wall_speeds
+from kncal.engines.liggghts.impacts import (
+    Before,
+    Surface,
+    count_speeds,
+    mesh_speeds,
+    pair_speeds,
+    speed_edges,
+    wall_speeds,
+)
 from kncal.engines.liggghts.library import LiggghtsDem
 from kncal.engines.liggghts.library_child import WATCH_EVERY
 from kncal.scene.contact import ContactChoice
@@ -24,8 +32,11 @@ solver = pytest.mark.solver
 SMOOTH, ELASTIC = ContactChoice(e_n=0.9), ContactChoice(e_n=1.0)
 
 
-def before(x: Array, v: Array, force: Array) -> Before:
-    return Before(x=x, v=v, force=force, row=np.arange(len(x)), mass=1.0)
+def before(x: Array, v: Array, push: Array, radius: float | Array) -> Before:
+    n = len(x)
+    return Before(
+        x=x, v=v, push=push, radius=np.broadcast_to(radius, n), kind=np.zeros(n, dtype=np.int64), row=np.arange(n)
+    )
 
 
 # --- the formula ------------------------------------------------------------------------------------------------------
@@ -46,30 +57,77 @@ def test_the_speed_at_touch_is_right_to_second_order_of_the_step() -> None:
         r = np.array([d, 0.3, 0.0]) / math.hypot(1.0, 0.3) * d
         r = r - 0.5 * dt * w  # it touches in the middle of the step, nearly
         x, v = np.stack([r, np.zeros(3)]), np.stack([w, np.zeros(3)])
-        found = pair_speeds(before(x, v, np.stack([a, np.zeros(3)])), np.array([0]), np.array([1]), d, 0.0)
-        errors.append(abs(float(found[0]) - touch_speed(r, w, a, d, dt)))
+        found = pair_speeds(before(x, v, np.stack([a, np.zeros(3)]), d / 2), np.array([0]), np.array([1]), (0, 0, 0))
+        errors.append(abs(float(found.v[0]) - touch_speed(r, w, a, d, dt)))
     assert errors[-1] < 1e-6
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     assert (orders > 1.7).all()
 
 
-def test_a_pair_across_the_period_meets_as_any_other() -> None:
-    x = np.array([[0.0, 0.01, 0.0], [0.0, 2.99, 0.0], [0.0, 1.0, 0.0], [0.0, 1.02, 0.0]])
-    v = np.array([[0.0, -1.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
-    given = before(x, v, np.zeros_like(x))
-    pairs = np.array([0, 2]), np.array([1, 3])
-    assert pair_speeds(given, *pairs, 0.019, 3.0) == pytest.approx([2.0, 2.0])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_pair_across_the_period_meets_as_any_other(axis: int) -> None:
+    x, v = np.zeros((4, 3)), np.zeros((4, 3))
+    x[:, axis], v[:, axis] = [0.01, 2.99, 1.0, 1.02], [-1.0, 1.0, 1.0, -1.0]
+    pairs, periods = (np.array([0, 2]), np.array([1, 3])), [3.0 * (k == axis) for k in range(3)]
+    assert pair_speeds(before(x, v, np.zeros_like(x), 0.0095), *pairs, periods).v == pytest.approx([2.0, 2.0])
 
 
 def test_contacts_that_were_there_before_do_not_count() -> None:
     x = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.9], [0.0, 0.0, 1.95]])
     v = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 0.0, -3.0]])
-    given = before(x, v, np.zeros_like(x))
-    assert pair_speeds(given, np.array([0, 1]), np.array([1, 2]), 1.0, 0.0) == pytest.approx([2.0])
-    below = wall_speeds(given, x, np.arange(3), [(2, 2.0)], 0.2)  # the first lies through the floor all the time
-    assert len(below) == 0
-    falling = before(x + np.array([0.0, 0.0, 0.21]), v - np.array([0.0, 0.0, 1.0]), np.zeros_like(x))
-    assert wall_speeds(falling, x, np.arange(3), [(2, 9.0)], 0.2) == pytest.approx([1.0])
+    given = before(x, v, np.zeros_like(x), 0.5)
+    assert pair_speeds(given, np.array([0, 1]), np.array([1, 2]), (0, 0, 0)).v == pytest.approx([2.0])
+    floor = Surface(1, 2)
+    lying = before(x, v, np.zeros_like(x), 0.2)  # the first lies through the floor all the time
+    assert len(wall_speeds(lying, x, np.arange(3), floor).v) == 0
+    falling = before(x + np.array([0.0, 0.0, 0.21]), v - np.array([0.0, 0.0, 1.0]), np.zeros_like(x), 0.2)
+    assert wall_speeds(falling, x, np.arange(3), floor).v == pytest.approx([1.0])
+    assert wall_speeds(falling, x, np.arange(3), floor).other.tolist() == [1]
+
+
+def test_those_that_came_within_the_step_have_no_speed() -> None:
+    x, nothing = np.array([[0.0, 0.0, 0.9], [0.0, 0.0, 1.8]]), np.zeros((2, 3))
+    given = replace(before(x + 1.0, nothing, nothing, 0.5), row=np.array([0, -1]))
+    assert not len(pair_speeds(given, np.array([0]), np.array([1]), (0, 0, 0)).v)
+    assert not len(wall_speeds(given, x[1:] - 2.0, np.array([1]), Surface(1, 2)).v)
+
+
+@pytest.mark.parametrize("rho", [0.7, 1.3])
+def test_at_a_cylinder_the_speed_is_the_radial_one(rho: float) -> None:
+    """A point of radius 0.2 that flies straight on, inside and outside: |R - |r + w t|| = 0.2, by bisection."""
+    r, w, dt, side = np.array([rho, 0.0]), np.array([1.0 if rho < 1.0 else -1.0, 0.5]), 0.15, np.sign(1.0 - rho)
+
+    def gap(t: float) -> float:
+        return float(side * (1.0 - np.linalg.norm(r + w * t)) - 0.2)
+
+    t = brentq(gap, 0.0, dt, xtol=1e-15)
+    exact = side * float((r + w * t) @ w / np.linalg.norm(r + w * t))
+    x, v = np.array([[0.3, *r]]), np.array([[2.0, *w]])
+    given = before(x, v, np.zeros((1, 3)), 0.2)
+    found = wall_speeds(given, x + v * dt, np.array([0]), Surface(2, 0, radius=1.0))
+    assert found.v == pytest.approx([exact], rel=1e-2)  # third derivatives are left out
+    assert found.other.tolist() == [2]
+
+
+def row(mesh: int, triangle: int, number: int, point: Array, centre: Array, overlap: float) -> list[float]:
+    return [*point, *centre, mesh, triangle, number, 0.0, 0.0, 0.0, overlap]
+
+
+def test_at_a_moving_mesh_the_speed_is_that_at_which_the_gap_closes() -> None:
+    """Under a constant acceleration, towards a plate that moves: both triangles of an edge are one contact."""
+    radius, dt, a, w, plate = 0.1, 1e-3, -9.0, -2.0, 0.5
+    t = 0.4 * dt  # of touch
+    gap = -((w - plate) * t + 0.5 * a * t * t)
+    z, z_now = radius + gap, radius + gap + w * dt + 0.5 * a * dt * dt
+    given = before(np.array([[0.0, 0.0, z]]), np.array([[0.0, 0.0, w]]), np.array([[0.0, 0.0, a]]), radius)
+    earlier = np.array([row(0, k, 1, np.zeros(3), np.array([0.0, 0.0, z]), -gap) for k in (3, 4)])
+    overlap = plate * dt + radius - z_now
+    now = np.array([row(0, 3, 1, np.array([0.0, 0.0, plate * dt]), np.array([0.0, 0.0, z_now]), overlap)])
+    found = mesh_speeds(given, earlier, now, [5], dt)
+    assert found.v == pytest.approx([-(w - plate) - a * t], rel=1e-9)
+    assert found.other.tolist() == [5]
+    assert not len(mesh_speeds(given, now, now, [5], dt).v)  # it was there before
+    assert not len(mesh_speeds(given, earlier[:0], now[:0], [5], dt).v)
 
 
 def test_every_speed_is_counted_in_its_bin() -> None:
@@ -189,7 +247,7 @@ def test_watching_leaves_no_trace(tmp_path: Path) -> None:
         assert watched == pytest.approx(
             len({0: 0} | dict.fromkeys(np.cumsum(parts) // WATCH_EVERY)) * given.dt - given.dt
         )
-    for x, v in states[1:]:
+    for x, v, *_ in states[1:]:
         assert np.array_equal(x, states[0][0])
         assert np.array_equal(v, states[0][1])
     assert np.abs(states[0][1]).max() > 0.02

@@ -12,7 +12,7 @@ from shipped import BEDS
 from kncal import calibrate, pair, wall_pair
 from kncal.core.errors import CaseFileError, InputError
 from kncal.engines.liggghts.impacts import speed_edges
-from kncal.engines.liggghts.library_child import histogram_edges
+from kncal.engines.liggghts.shared import histogram_edges
 from kncal.physics.timestep import contact_time
 from kncal.scene.case_file import load_case
 from kncal.scene.contact import PairChoice

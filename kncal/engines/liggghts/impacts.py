@@ -6,6 +6,8 @@ normal, so v_0² = c² + 2 p s. That is exact in free flight and for any constan
 the new contact has not acted yet. What is left out is the change within the step of forces by other contacts of the two
 particles: at most (pi/N)²/2 of the speed for N steps per contact, 0.8 % for N = 25, of either sign.
 
+At a mesh, which may move, c is what the gap lost within the step, less the half of p that the step adds.
+
 Every contact begins in one step, so watching evenly spaced steps sees each with the same probability.
 """
 
@@ -13,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,11 +25,55 @@ from kncal.core.checks import Array
 #: Speed bins per decade, and the first and last decade [log10 of m/s]; slower and faster impacts are in the outer bins.
 BINS_PER_DECADE, SLOWEST, FASTEST = 20, -5, 2
 BINS = (FASTEST - SLOWEST) * BINS_PER_DECADE + 1
-#: Sums kept of each kind: v, v², v³.
+#: Sums kept of each pair: v, v², v³.
 POWERS = 3
+#: Columns of a row of contacts with meshes: contact point, centre, number of the mesh, id, overlap.
+_POINT, _CENTRE, _MESH, _ID, _OVERLAP = slice(0, 3), slice(3, 6), 6, 8, 12
 
-#: Two opposite walls: their axis (0 to 2), and the coordinate of the second [m]; that of the first is 0.
-Side = tuple[int, float]
+
+class Surface(NamedTuple):
+    """A wall without triangles: ``kind`` is the number of its species.
+
+    ``axis``: a plane's normal, or a cylinder's axis; ``position``: of the plane on it [m]; ``radius`` [m] and
+    ``centre``, the two other coordinates [m], of a cylinder; radius 0: a plane.
+    """
+
+    kind: int
+    axis: int
+    position: float = 0.0
+    centre: Sequence[float] = (0.0, 0.0)
+    radius: float = 0.0
+
+    def distances(self, x: Array) -> Array:
+        """Return the distances of points (n, 3) [m]."""
+        if not self.radius:
+            return np.asarray(np.abs(x[:, self.axis] - self.position))
+        return np.asarray(np.abs(self.radius - np.hypot(*(x[:, self._across] - self.centre).T)))
+
+    def approach(self, x: Array, v: Array, push: Array) -> tuple[Array, Array]:
+        """Return minus the first and second derivative of the distances by time; ``push``: acceleration (n, 3)."""
+        if not self.radius:
+            side = np.copysign(1.0, x[:, self.axis] - self.position)
+            return -side * v[:, self.axis], -side * push[:, self.axis]
+        out = x[:, self._across] - self.centre
+        rho = np.hypot(*out.T)
+        side, out = np.where(rho < self.radius, 1.0, -1.0), out / rho[:, None]
+        speed = v[:, self._across]
+        outwards = np.einsum("ij,ij->i", speed, out)
+        around = np.einsum("ij,ij->i", speed, speed) - outwards**2
+        return side * outwards, side * (np.einsum("ij,ij->i", push[:, self._across], out) + around / rho)
+
+    @property
+    def _across(self) -> list[int]:
+        return [axis for axis in range(3) if axis != self.axis]
+
+
+class Speeds(NamedTuple):
+    """Impact speeds (n,) [m/s], and the species (n,) of both sides."""
+
+    v: Array
+    one: NDArray[np.int64]
+    other: NDArray[np.int64]
 
 
 def speed_edges() -> Array:
@@ -48,63 +95,80 @@ class Before:
 
     Attributes
     ----------
-    x, v, force : (n, 3) [m], [m/s], [N]
-    row : (n,) row of particle id - 1
-    mass : of each particle, all are equal [kg]
+    x, v, push : (n, 3) [m], [m/s], acceleration by all forces [m/s²]
+    radius : (n,) [m]; kind : (n,) species
+    row : (most,) row of particle id - 1, -1 if it was not there
     """
 
     x: Array
     v: Array
-    force: Array
+    push: Array
+    radius: Array
+    kind: NDArray[np.int64]
     row: NDArray[np.intp]
-    mass: float
 
 
-def pair_speeds(before: Before, first: NDArray[np.intp], second: NDArray[np.intp], d: float, period: float) -> Array:
-    """Return the impact speeds of the new ones among the present contacts [m/s].
+def pair_speeds(before: Before, first: NDArray[np.intp], second: NDArray[np.intp], periods: Sequence[float]) -> Speeds:
+    """Return the impact speeds of the new ones among the present contacts.
 
-    ``first``, ``second``: (contacts,) id - 1 of the particles of each; ``d``: diameter [m]; ``period``: of y [m], 0
-    if it has none.
+    ``first``, ``second``: (contacts,) id - 1 of the particles of each; ``periods``: of each axis [m], 0: it has none.
     """
     i, j = before.row.take(first), before.row.take(second)
+    if (unknown := (i < 0) | (j < 0)).any():
+        i, j = i[~unknown], j[~unknown]
     r = before.x.take(i, axis=0)
     r -= before.x.take(j, axis=0)
-    if period:
-        r[:, 1] -= period * np.round(r[:, 1] / period)
-    square = np.einsum("ck,ck->c", r, r)
-    new = np.flatnonzero(square >= d * d)
-    if not len(new):
-        return np.empty(0)
+    for axis, period in enumerate(periods):
+        if period:
+            r[:, axis] -= period * np.round(r[:, axis] / period)
+    square, touch = np.einsum("ck,ck->c", r, r), before.radius.take(i) + before.radius.take(j)
+    new = np.flatnonzero(square >= touch * touch)
     i, j, distance = i[new], j[new], np.sqrt(square[new])
     n = r[new] / distance[:, None]
     w = before.v[i] - before.v[j]
-    push = (before.force[i] - before.force[j]) / before.mass
     closing = -np.einsum("ck,ck->c", w, n)
     along = np.einsum("ck,ck->c", w, w) - closing**2
-    pull = -np.einsum("ck,ck->c", push, n) - along / distance
-    return _at_touch(closing, pull, distance - d)
+    pull = -np.einsum("ck,ck->c", before.push[i] - before.push[j], n) - along / distance
+    return Speeds(_at_touch(closing, pull, distance - touch[new]), before.kind[i], before.kind[j])
 
 
-def wall_speeds(before: Before, x: Array, ids: NDArray[np.intp], sides: Sequence[Side], radius: float) -> Array:
-    """Return the impact speeds of new contacts with walls [m/s].
+def wall_speeds(before: Before, x: Array, ids: NDArray[np.intp], wall: Surface) -> Speeds:
+    """Return the impact speeds of new contacts with a wall; ``x``: (n, 3) now [m]; ``ids``: (n,) id - 1 of its rows."""
+    then = before.row.take(ids)
+    if (unknown := then < 0).any():
+        x, then = x[~unknown], then[~unknown]
+    touching = then[wall.distances(x) < before.radius.take(then)]
+    gap = wall.distances(before.x[touching]) - before.radius[touching]
+    new, gap = touching[gap >= 0.0], gap[gap >= 0.0]
+    closing, pull = wall.approach(before.x[new], before.v[new], before.push[new])
+    return Speeds(_at_touch(closing, pull, gap), before.kind[new], np.full(len(new), wall.kind))
 
-    ``x``: (n, 3) now [m]; ``ids``: (n,) id - 1 of each row of it; ``sides``: the walls; ``radius``: of a particle [m].
+
+def mesh_speeds(before: Before, earlier: Array, now: Array, kinds: Sequence[int], dt: float) -> Speeds:
+    """Return the impact speeds of new contacts with meshes, which may move.
+
+    ``earlier``, ``now``: rows of contacts and gaps (see `kncal.engines.liggghts.c_library`) one step of ``dt`` [s]
+    before, and now; ``kinds``: species of each mesh.
     """
-    found = []
-    for axis, end in sides:
-        there = x[:, axis]
-        for side, position in ((1.0, 0.0), (-1.0, end)):
-            touching = np.flatnonzero(there < radius if side > 0.0 else there > end - radius)
-            if not len(touching):
-                continue
-            then = before.row[ids[touching]]
-            gap = side * (before.x[then, axis] - position) - radius
-            new = gap >= 0.0
-            if new.any():
-                then, gap = then[new], gap[new]
-                pull = -side * before.force[then, axis] / before.mass
-                found.append(_at_touch(-side * before.v[then, axis], pull, gap))
-    return np.concatenate(found) if found else np.empty(0)
+    # of each particle at each mesh the nearest triangle
+    then, there = _nearest(earlier), _nearest(now[now[:, _OVERLAP] > 0.0])
+    known = [key for key in there if key in then and then[key][_OVERLAP] <= 0.0 and before.row[key[1] - 1] >= 0]
+    old = np.array([then[key] for key in known]).reshape(-1, earlier.shape[1])
+    new = np.array([there[key] for key in known]).reshape(-1, earlier.shape[1])
+    row = before.row[np.array([key[1] - 1 for key in known], dtype=np.intp)]
+    n = old[:, _CENTRE] - old[:, _POINT]
+    n /= np.linalg.norm(n, axis=1)[:, None]
+    pull = -np.einsum("ck,ck->c", before.push[row], n)
+    gap = -old[:, _OVERLAP]
+    closing = (gap + new[:, _OVERLAP]) / dt - 0.5 * pull * dt
+    meshes = np.array([kinds[key[0]] for key in known], dtype=np.int64)
+    return Speeds(_at_touch(closing, pull, gap), before.kind[row], meshes)
+
+
+def _nearest(rows: Array) -> dict[tuple[int, int], NDArray[Any]]:
+    """Return the row with the largest overlap for each mesh and particle id."""
+    order = np.argsort(rows[:, _OVERLAP], kind="stable")
+    return {(int(row[_MESH]), int(row[_ID])): row for row in rows[order]}
 
 
 def _at_touch(closing: Array, pull: Array, gap: Array) -> Array:

@@ -23,10 +23,13 @@ from kncal.core.disk import blame
 from kncal.core.errors import InputError, RunError, SolverMissingError
 from kncal.core.process import ProcessResult, signal_name, solver_environment
 from kncal.core.solver_process import PeerLostError, SolverProcess
-from kncal.engines.liggghts.deck import DECK, RESTART, bed_deck, write_deck
-from kncal.engines.liggghts.impacts import Side, speed_edges
-from kncal.engines.liggghts.library_child import LIBRARY, SAVED_FORCES, VARIABLE, Shared, histogram_edges
-from kncal.record.steps import DemStep
+from kncal.engines.liggghts.c_library import LIBRARY
+from kncal.engines.liggghts.deck import DECK, RESTART, Deck, bed_deck, write_deck
+from kncal.engines.liggghts.impacts import Surface, speed_edges
+from kncal.engines.liggghts.library_child import SAVED_FORCES, VARIABLE
+from kncal.engines.liggghts.shared import Shared, Sizes, histogram_edges
+from kncal.record.facts import HEIGHTS, heights, room
+from kncal.record.steps import DemStep, ParticleState
 from kncal.scene.box_limits import places
 from kncal.scene.model import Plan
 from kncal.scene.placement import Start
@@ -80,8 +83,9 @@ class LiggghtsDem:
         pass_fds: Sequence[int] = (),
     ) -> None:
         scene = model.scene
-        self.histogram_edges = histogram_edges(scene.diameter)
+        self.histogram_edges = histogram_edges(scene.d_min)
         self.impact_edges = speed_edges()
+        self.walls: tuple[str, ...] = ()
         self._count = scene.number
         self._plane = middle(scene) if scene.layer else None
         self._folder = folder
@@ -90,29 +94,21 @@ class LiggghtsDem:
         if restart is not None:
             for name in SAVED:
                 _copy_saved(restart / name, folder / name)
-            write_deck(bed_deck(model), folder)
+            deck = bed_deck(model)
         elif start is not None:
             _check_start(scene, start)
-            write_deck(bed_deck(model, start), folder)
+            deck = bed_deck(model, start)
         else:
             raise InputError("start: None, expected particles, or a restart folder")
-        arguments = {
-            "count": self._count,
-            "deck": DECK,
-            "diameter": scene.diameter,
-            "dt": model.dt,
-            "gravity": scene.g,
-            "plane": self._plane,
-            "period": scene.box.depth if scene.periodic else None,
-            "sides": sides(scene),
-            "saved": SAVED_FORCES if restart else "",
-        }
+        write_deck(deck, folder)
+        sizes = Sizes(self._count, len(tuple(model.species.pairs())), len(self.walls), HEIGHTS)
+        arguments = _arguments(model, deck, sizes) | {"saved": SAVED_FORCES if restart else ""}
         # The child imports what this process imports.
         environment = solver_environment() | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
         memory = os.memfd_create("kncal-particles", os.MFD_CLOEXEC)
         try:
-            os.ftruncate(memory, Shared.size(self._count))
-            buffer = mmap.mmap(memory, Shared.size(self._count))
+            os.ftruncate(memory, sizes.bytes)
+            buffer = mmap.mmap(memory, sizes.bytes)
             self._process = SolverProcess(
                 "LIGGGHTS",
                 [sys.executable, "-P", "-m", "kncal.engines.liggghts.library_child", json.dumps(arguments)],
@@ -125,7 +121,7 @@ class LiggghtsDem:
             )
         finally:
             os.close(memory)
-        self._shared = Shared.over(buffer, self._count)
+        self._shared = Shared.over(buffer, sizes)
         self._take(self._receive(_START_LIMIT), None)
 
     @property
@@ -143,13 +139,13 @@ class LiggghtsDem:
         """Number of the child process."""
         return self._process.pid
 
-    def state(self) -> tuple[Array, Array]:
-        """Return positions [m] and velocities [m/s], both (n, 3), by id; periodic y within 0 ... depth."""
+    def state(self) -> ParticleState:
+        """Return a copy of the particles as they are; periodic coordinates within the box."""
         shared = self._open()
-        return shared.x.copy(), shared.v.copy()
+        return ParticleState(shared.x.copy(), shared.v.copy(), shared.spin.copy(), shared.kind.copy())
 
-    def run(self, steps: int, force: Array) -> DemStep:
-        """Hold ``force`` (n, 3) [N] on the particles and run ``steps``.
+    def run(self, steps: int, force: Array | None = None) -> DemStep:
+        """Hold ``force`` (n, 3) [N] on the particles, None: as before (at first none), and run ``steps``.
 
         Velocity Verlet opens the interval with half a kick of the last interval's force: half a step of lag. A layer
         takes no force across its plane: that component is left out, and its plane is checked to the last bit.
@@ -164,13 +160,15 @@ class LiggghtsDem:
         shared = self._open()
         if steps < 1:
             raise InputError(f"steps = {steps}: expected at least 1")
-        given = np.asarray(force, dtype=np.float64)
-        if given.shape != shared.force.shape or not np.isfinite(given).all():
-            raise InputError(f"force: shape {given.shape}, expected {shared.force.shape} finite numbers [N]")
-        shared.force[:] = given
-        if self._plane is not None:
-            shared.force[:, 1] = 0.0
-        answer = self._ask({"do": "run", "steps": steps}, _RUN_LIMIT + _STEP_LIMIT * steps * (self._count + 100), steps)
+        if force is not None:
+            given = np.asarray(force, dtype=np.float64)
+            if given.shape != shared.force.shape or not np.isfinite(given).all():
+                raise InputError(f"force: shape {given.shape}, expected {shared.force.shape} finite numbers [N]")
+            shared.force[:] = given
+            if self._plane is not None:
+                shared.force[:, 1] = 0.0
+        request = {"do": "run", "steps": steps, "with_force": force is not None}
+        answer = self._ask(request, _RUN_LIMIT + _STEP_LIMIT * steps * (self._count + 100), steps)
         return DemStep(
             floor_force=answer["floor"],
             other_walls_force=answer["other_walls"],
@@ -181,6 +179,9 @@ class LiggghtsDem:
             watched=answer["watched"],
             impacts=shared.impacts.copy(),
             impact_sums=shared.impact_sums.copy(),
+            out_number=np.array(answer["out_number"], dtype=np.int64),
+            out_mass=np.array(answer["out_mass"], dtype=np.float64),
+            wall_force=shared.wall_force.copy(),
         )
 
     def save(self, folder: Path) -> None:
@@ -190,7 +191,7 @@ class LiggghtsDem:
         was never saved differs at most by rounding, from particles brought back into a periodic box (1e-13 m after
         40 couplings); without periodic sides it was found to be the same, too.
         """
-        self._ask({"do": "save"}, _SAVE_LIMIT, 0)
+        self._ask({"do": "save", "before": [], "after": []}, _SAVE_LIMIT, 0)
         folder.mkdir(parents=True, exist_ok=True)
         for name in SAVED:
             shutil.move(self._folder / name, folder / name)
@@ -240,7 +241,7 @@ class LiggghtsDem:
             failure = "lost-particles"
         elif steps is not None and answer["step"] != self._step + steps:
             problem = f"it stopped at step {answer['step']}, expected {self._step + steps}: was it sent a signal?"
-        elif not (np.isfinite(shared.x).all() and np.isfinite(shared.v).all()):
+        elif not all(np.isfinite(part[shared.kind >= 0]).all() for part in (shared.x, shared.v)):
             problem = "positions or velocities are not finite: do two particles start at one point, is dt too large?"
             failure = "not-finite"
         elif not answer["in_plane"]:
@@ -266,10 +267,32 @@ class LiggghtsDem:
         return RunError(text, failure)
 
 
-def sides(scene: Scene) -> list[Side]:
-    """Return the pairs of walls of the column: axis, and coordinate of the second wall [m]; the first is at 0."""
-    box = scene.box
-    return [(0, box.width), (2, box.height)] + ([(1, box.depth)] if scene.front_back == "walls" else [])
+def _arguments(model: Plan, deck: Deck, sizes: Sizes) -> dict[str, object]:
+    """Return what the child has to know, as `kncal.engines.liggghts.library_child.Child` takes it."""
+    scene, species = model.scene, model.species
+    low, size = room(scene)
+    up = scene.up.tolist()
+    return {
+        "sizes": sizes,
+        "deck": DECK,
+        "dt": model.dt,
+        "d_min": scene.d_min,
+        "gravity": scene.g,
+        "up": up,
+        "plane": middle(scene) if scene.layer else None,
+        "low": low,
+        "periods": [side if axis in deck.periodic else 0.0 for axis, side in zip("xyz", size, strict=True)],
+        "heights": heights(low, size, up).tolist(),
+        "pairs": list(species.pairs()),
+        "kinds": len(species.members),
+        "floor": True,
+        "surfaces": [Surface(wall.kind, "xyz".index(wall.axis), wall.position) for wall in deck.walls],
+        "meshes": [],
+        "forces": [],
+        "outlets": [],
+        "deletes": False,
+        "streams": [],
+    }
 
 
 def middle(scene: Scene) -> float:

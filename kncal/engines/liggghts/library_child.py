@@ -2,21 +2,22 @@
 
 Started by `kncal.engines.liggghts.library`: ``python -m kncal.engines.liggghts.library_child '{"count": 5, ...}'`` in
 the folder of the deck.
-It runs the deck, then answers one JSON message with one JSON message; arrays go through a shared mapping, by id.
+It runs the deck, then answers one JSON message with one JSON message; arrays go through a shared mapping, by row.
 What LIGGGHTS prints is this process' standard output, which is a log file.
+
+A particle keeps its row for ever. LIGGGHTS gives the id of one that was deleted to a new one, so rows follow ids only
+until then.
 """
 
 from __future__ import annotations
 
-import ctypes
 import itertools
 import json
 import mmap
 import os
 import socket
 import sys
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +26,18 @@ from numpy.typing import NDArray
 
 from kncal.core.checks import Array
 from kncal.core.solver_process import MAX_MESSAGE
-from kncal.engines.liggghts.impacts import BINS, POWERS, Before, count_speeds, pair_speeds, wall_speeds
+from kncal.engines.liggghts.c_library import Library
+from kncal.engines.liggghts.impacts import (
+    Before,
+    Speeds,
+    Surface,
+    count_speeds,
+    mesh_speeds,
+    pair_speeds,
+    wall_speeds,
+)
+from kncal.engines.liggghts.shared import BINS_PER_DECADE, DECADES, Shared, Sizes
 
-LIBRARY = "libliggghts.so.3"
 #: Environment variable with the numbers of the inherited socket and memory.
 VARIABLE = "KNCAL_PARTICLES"
 #: Overlaps are looked at about every so many steps, at least once in an interval and at its end. One look costs as much
@@ -35,207 +45,75 @@ VARIABLE = "KNCAL_PARTICLES"
 LOOK_EVERY = 40
 #: New contacts are watched for in the last step of an interval, about once in so many steps; that costs 2 or 3 steps.
 WATCH_EVERY = 80
-#: Overlap bins per decade, and the smallest overlap that is told apart from nothing, in diameters.
-BINS_PER_DECADE, DECADES = 20, 8
-_OVERLAP_BINS = DECADES * BINS_PER_DECADE + 1
 #: Output of the runs beyond so many bytes is dropped; that of the deck is kept.
 MAX_LOG = 1 << 16
 
 SAVED_FORCES = "forces.npz"
 
 
-def histogram_edges(diameter: float) -> Array:
-    """Return the edges of the overlap bins [m]: 0, then 20 a decade from 1e-8 to 1 diameter."""
-    decades = np.arange(DECADES * BINS_PER_DECADE + 1) / BINS_PER_DECADE - DECADES
-    return np.concatenate(([0.0], diameter * 10.0**decades))
-
-
-@dataclass(frozen=True)
-class Shared:
-    """The mapping that parent and child share: positions, velocities, gas forces (n, 3) by id; what was looked at.
-
-    ``histogram``: (bins,) overlaps; ``impacts``: (2, bins) speeds of new contacts of two particles, and of a particle
-    and a wall (see `kncal.engines.liggghts.impacts`); ``impact_sums``: (2, 3) sums of v, v², v³ of both.
-    """
-
-    x: Array
-    v: Array
-    force: Array
-    histogram: Array
-    impacts: Array
-    impact_sums: Array
-
-    @staticmethod
-    def size(count: int) -> int:
-        """Return the bytes that ``count`` particles need."""
-        return 8 * (9 * count + _OVERLAP_BINS + 2 * BINS + 2 * POWERS)
-
-    @classmethod
-    def over(cls, buffer: mmap.mmap, count: int) -> Shared:
-        """Return views of ``buffer``, which keep it open."""
-        numbers = np.frombuffer(buffer, dtype=np.float64)
-        x, v, force = (numbers[3 * count * i : 3 * count * (i + 1)].reshape(count, 3) for i in range(3))
-        histogram, impacts, sums = np.split(numbers[9 * count :], (_OVERLAP_BINS, _OVERLAP_BINS + 2 * BINS))
-        return cls(
-            x=x,
-            v=v,
-            force=force,
-            histogram=histogram,
-            impacts=impacts.reshape(2, BINS),
-            impact_sums=sums.reshape(2, POWERS),
-        )
-
-
-class Library:
-    """LIGGGHTS through its C interface. Rows move and pointers change in every run: fetch them anew after each."""
-
-    def __init__(self) -> None:
-        self._lib = ctypes.CDLL(LIBRARY, mode=ctypes.RTLD_GLOBAL)
-        text, pointer, number = ctypes.c_char_p, ctypes.c_void_p, ctypes.c_int
-        for name, result, arguments in (
-            ("lammps_open_no_mpi", None, [number, ctypes.POINTER(text), ctypes.POINTER(pointer)]),
-            ("lammps_close", None, [pointer]),
-            ("lammps_file", None, [pointer, text]),
-            ("lammps_command", text, [pointer, text]),
-            ("lammps_extract_atom", pointer, [pointer, text]),
-            ("lammps_extract_global", pointer, [pointer, text]),
-            ("lammps_extract_fix", pointer, [pointer, text] + [number] * 4),
-            ("lammps_extract_compute", pointer, [pointer, text, number, number]),
-        ):
-            function = getattr(self._lib, name)
-            function.restype, function.argtypes = result, arguments
-        self._libc = ctypes.CDLL(None)
-        self._libc.free.argtypes = [pointer]
-        # By lines: what a buffer still holds is lost when the library ends the process.
-        stdout = pointer.in_dll(self._libc, "stdout")
-        self._libc.setvbuf(stdout, None, 1, 0)  # 1: _IOLBF
-        words = [b"liggghts", b"-log", b"none"]
-        self._handle = pointer()
-        self._lib.lammps_open_no_mpi(len(words), (text * len(words))(*words), ctypes.byref(self._handle))
-
-    def file(self, name: str) -> None:
-        """Run the commands of a file."""
-        self._lib.lammps_file(self._handle, name.encode())
-
-    def command(self, line: str) -> None:
-        """Run one command."""
-        self._lib.lammps_command(self._handle, line.encode())
-
-    def close(self) -> None:
-        """End LIGGGHTS."""
-        self._lib.lammps_close(self._handle)
-
-    @property
-    def count(self) -> int:
-        """Number of particles that are left."""
-        return ctypes.c_int.from_address(self._global("nlocal")).value
-
-    @property
-    def step(self) -> int:
-        """Steps so far."""
-        return ctypes.c_int64.from_address(self._global("ntimestep")).value
-
-    @property
-    def rows(self) -> NDArray[np.intp]:
-        """Row of the callers' arrays (id - 1) for each row of LIGGGHTS."""
-        ids = self._view(self._lib.lammps_extract_atom(self._handle, b"id"), ctypes.c_int, self.count)
-        return ids.astype(np.intp) - 1
-
-    @property
-    def masses(self) -> Array:
-        """Masses by row [kg]."""
-        return self._view(self._lib.lammps_extract_atom(self._handle, b"rmass"), ctypes.c_double, self.count)
-
-    def vectors(self, name: str) -> Array:
-        """Return a writable view of a per-particle vector: x, v, omega, f, torque; or dragforce."""
-        if name == "dragforce":
-            address = self._lib.lammps_extract_fix(self._handle, b"dragforce", 1, 2, 0, 0)
-        else:
-            address = self._lib.lammps_extract_atom(self._handle, name.encode())
-        return self._table(address, self.count, 3)
-
-    def scalar(self, compute: str) -> float:
-        """Return the value of a compute, now."""
-        address = self._lib.lammps_extract_compute(self._handle, compute.encode(), 0, 0)
-        return ctypes.c_double.from_address(address).value
-
-    def mean(self, fix: str) -> float:
-        """Return the value of a ``fix ave/time`` with one column."""
-        address = self._lib.lammps_extract_fix(self._handle, fix.encode(), 0, 0, 0, 0)
-        value = ctypes.c_double.from_address(address).value
-        self._libc.free(address)
-        return value
-
-    def contacts(self) -> Array:
-        """Return a row for every particle-particle contact now: both ids, whether across a period, overlap [m]."""
-        total, mean = self.scalar("overlap_sum"), self.scalar("overlap_mean")
-        if mean == 0.0:
-            return np.empty((0, 4))
-        # The library does not tell the number of rows of a local compute; sum over mean is it.
-        address = self._lib.lammps_extract_compute(self._handle, b"contacts", 2, 2)
-        return self._table(address, round(total / mean), 4)
-
-    def _global(self, name: str) -> int:
-        return int(self._lib.lammps_extract_global(self._handle, name.encode()))
-
-    @classmethod
-    def _table(cls, address: int, rows: int, columns: int) -> Array:
-        """Return a view of a table, given where its rows' addresses begin; its rows follow each other."""
-        if rows == 0:
-            return np.empty((0, columns))
-        first = ctypes.c_size_t.from_address(address).value
-        return cls._view(first, ctypes.c_double, rows * columns).reshape(rows, columns)
-
-    @staticmethod
-    def _view(address: int, kind: type[Any], length: int) -> NDArray[Any]:
-        # Several times quicker than numpy.ctypeslib.as_array, and there are a dozen in each interval.
-        return np.frombuffer((kind * length).from_address(address), dtype=kind)
-
-
 class Child:
-    """Runs the deck, then what the parent asks for."""
+    """Runs the deck, then what the parent asks for; ``given``: what `kncal.engines.liggghts.library` says of it."""
 
     def __init__(self, lib: Library, shared: Shared, given: dict[str, Any]) -> None:
         self.lib, self.shared, self.given = lib, shared, given
-        saved, self._diameter = str(given["saved"]), float(given["diameter"])
+        self._up, self._periods = np.array(given["up"]), given["periods"]
+        self._rows = _Rows(len(shared.x))
+        self._tally = _Tally(given["pairs"], given["kinds"])
+        saved = str(given["saved"])
         lib.file(str(given["deck"]))
         self._samples = 1  # of the running mean of the floor force: the deck took one
-        self._floor = lib.scalar("floor")
+        self._floor = lib.scalar("floor") if given["floor"] else 0.0
+        self._gas = lib.has_fix("dragforce")
         # The deck ended with the forces of the start; a first force from the gas is added by hand (see `run`).
         self._fresh = not saved
+        self._out = np.zeros((len(given["outlets"]), 3))
+        self._inserted = np.zeros(len(given["streams"]))
         if saved:
             self._restore(Path(saved))
+            with np.load(saved, allow_pickle=False) as state:
+                self._floor = float(state["floor"])
+                self._rows.load(state["row_of_id"], int(state["next_row"]))
+                # A restart brings back some of an outlet's numbers, not all.
+                self._out = state["out"] - self._passed()
+                self._inserted = state["inserted"]
         self.publish()
 
     def publish(self) -> dict[str, Any]:
-        """Put positions and velocities into the shared arrays, by id; return what every answer holds."""
-        rows = self.lib.rows
-        if len(rows) == len(self.shared.x):
+        """Put positions, velocities and species into the shared arrays, by row; return what every answer holds."""
+        shared, rows = self.shared, self._rows(self.lib.rows)
+        names = (("x", shared.x), ("v", shared.v), ("omega", shared.spin))
+        if len(rows) == len(shared.x):
             # By the inverse of rows: to take rows of three is ten times quicker than to put them.
-            places = _inverse(rows)
-            for name, to in (("x", self.shared.x), ("v", self.shared.v)):
+            places = _inverse(rows, len(rows))
+            for name, to in names:
                 self.lib.vectors(name).take(places, axis=0, out=to, mode="clip")
-            if self.given["period"] is not None:
+            self.lib.kinds.take(places, out=shared.kind, mode="clip")
+        elif not self._rows.full:
+            shared.kind[:] = -1
+            shared.kind[rows] = self.lib.kinds
+            for name, to in names:
+                to[:] = np.nan
+                to[rows] = self.lib.vectors(name)
+        for axis, period in enumerate(self._periods):
+            if period:
                 # LIGGGHTS brings a particle back into a periodic box only when it makes neighbour lists.
-                self.shared.x[:, 1] %= float(self.given["period"])
+                low = float(self.given["low"][axis])
+                shared.x[:, axis] = low + (shared.x[:, axis] - low) % period
+        passed = self._out + self._passed()
         return {
             "count": len(rows),
             "step": self.lib.step,
             "in_plane": self.given["plane"] is None or self._in_plane(float(self.given["plane"])),
+            "inserted": self._come().astype(int).tolist(),
+            "out_number": passed[:, 0].round().astype(int).tolist(),
+            "out_mass": passed[:, 1].tolist(),
+            "deleted": int(passed[:, 2].sum().round()),
         }
 
-    def run(self, steps: int) -> dict[str, Any]:
-        """Hold the shared force and run ``steps``; reactions and overlaps of this interval."""
-        rows = self.lib.rows
-        force = self.shared.force.take(rows, axis=0)
-        old = self.lib.vectors("dragforce")[:, 2].sum()
-        if self._fresh:
-            old = force[:, 2].sum()
-            # The first half kick uses forces that the deck computed without gas.
-            self.lib.vectors("f")[:] += force
-            self._fresh = False
-        self.lib.vectors("dragforce")[:] = force
-        before, first, momentum = self._sum(), self._floor, self._momentum()
+    def run(self, steps: int, with_force: bool) -> dict[str, Any]:
+        """Run ``steps``, if asked with the shared force held; reactions and overlaps of this interval."""
+        old, push = self._hold(with_force)
+        floor_before, first, momentum = self._sum(), self._floor, self._momentum()
         for sums in (self.shared.histogram, self.shared.impacts, self.shared.impact_sums):
             sums[:] = 0.0
         self._watched = 0.0
@@ -247,34 +125,79 @@ class Child:
                 number, total = number + len(overlaps), total + float(overlaps.sum())
                 largest = max(largest, float(overlaps.max()))
                 self.shared.histogram[:] += self._bins(overlaps)
-        self._samples += steps
-        self._floor = self.lib.scalar("floor")
-        # Velocity Verlet gives half the first force and half the last: the trapezoidal sum is the impulse.
-        floor = (self._sum() - before + 0.5 * (first - self._floor)) / steps
-        gas = ((steps - 0.5) * force[:, 2].sum() + 0.5 * old) / steps
-        gain = (self._momentum() - momentum) / (steps * float(self.given["dt"]))
-        weight = float(self.given["gravity"]) * self.lib.masses.sum()
-        return {
-            "floor": floor,
-            # To add up the other walls' forces in every step would cost 2 % of the run for each of them.
-            "other_walls": gain + weight - gas - floor,
+        self._add_wall_forces()
+        return self._balance(steps, floor_before, first, momentum, old, push) | {
             "contacts": number / samples,
             "overlap_max": largest,
             "overlap_mean": total / number if number else 0.0,
             "watched": self._watched,
         }
 
-    def save(self) -> dict[str, Any]:
+    def _hold(self, with_force: bool) -> tuple[float, float]:
+        """Put the shared force on the particles; return the sums along up [N] of that before, and of this."""
+        if not self._gas:
+            return 0.0, 0.0
+        held = self.lib.of_fix("dragforce")
+        force = self.shared.force.take(self._rows(self.lib.rows), axis=0) if with_force else held.copy()
+        old = float((held @ self._up).sum())
+        push = float((force @ self._up).sum())
+        if self._fresh:
+            old = push
+            # The first half kick uses forces that the deck computed without gas.
+            self.lib.vectors("f")[:] += force
+            self._fresh = False
+        held[:] = force
+        return old, push
+
+    def _balance(
+        self, steps: int, before: float, first: float, momentum: float, old: float, push: float
+    ) -> dict[str, float]:
+        """Return the forces on the floor and on the other walls, means over the interval [N]."""
+        gas = ((steps - 0.5) * push + 0.5 * old) / steps
+        gain = (self._momentum() - momentum) / (steps * float(self.given["dt"]))
+        weight = float(self.given["gravity"]) * self.lib.masses.sum()
+        others = gain + weight - gas
+        if self.given["outlets"] or self.given["streams"]:
+            others = float("nan")  # particles that come and go bring momentum, and take it along
+        if not self.given["floor"]:
+            return {"floor": float("nan"), "other_walls": others}
+        self._samples += steps
+        self._floor = self.lib.scalar("floor")
+        # Velocity Verlet gives half the first force and half the last: the trapezoidal sum is the impulse.
+        floor = (self._sum() - before + 0.5 * (first - self._floor)) / steps
+        # To add up the other walls' forces in every step would cost 2 % of the run for each of them.
+        return {"floor": floor, "other_walls": others - floor}
+
+    def change(self, commands: Sequence[str]) -> dict[str, Any]:
+        """Carry out commands that change walls, at the end of an interval; forces and motion stay as they are."""
+        forces = self._forces()
+        for command in commands:
+            self.lib.command(command)
+        self.lib.command("run 0 post no")
+        self._put(forces)
+        return {}
+
+    def save(self, before: Sequence[str], after: Sequence[str]) -> dict[str, Any]:
         """Write the state: LIGGGHTS' restart with the contact history, and the forces of the last step.
 
         A restart alone is set up with forces that LIGGGHTS computes anew, with other velocities than a run does.
-        Writing it sorts the particles anew, so this process goes on exactly as the one that will read it.
+        Writing it sorts the particles anew, so this process goes on exactly as the one that will read it. The commands
+        ``before`` and ``after`` take streams off and make them anew: no restart holds all of their random numbers.
         """
-        forces = {"f": self._by_id("f"), "torque": self._by_id("torque"), "floor": np.array(self._floor)}
-        np.savez(SAVED_FORCES, **forces)  # type: ignore[arg-type]  # the stubs mistake the names for options
-        self.lib.command("write_restart particles.restart")
+        row_of_id, next_row = self._rows.state
+        state = self._forces() | {
+            "floor": np.array(self._floor),
+            "row_of_id": row_of_id,
+            "next_row": np.array(next_row),
+            "out": self._out + self._passed(),
+            "inserted": self._come(),
+        }
+        np.savez(SAVED_FORCES, **state)  # type: ignore[arg-type]  # the stubs mistake the names for options
+        for command in (*before, "write_restart particles.restart", *after):
+            self.lib.command(command)
         self.lib.command("run 0 post no")
         self._restore(Path(SAVED_FORCES))
+        self._inserted = state["inserted"]
         return {}
 
     def _looks(self, steps: int) -> Iterator[Array]:
@@ -286,60 +209,101 @@ class Child:
         # by the count of all steps, so that a continued run watches in the same intervals
         end = self.lib.step + last
         watched = end // WATCH_EVERY > (end - steps) // WATCH_EVERY
-        self._advance(last - 1 if watched else last)
+        apart = watched or self.given["deletes"]
+        self._advance(last - 1 if apart else last)
         earlier = self._before() if watched else None
-        self._advance(1 if watched else 0)
+        if apart:
+            self._last_step()
         contacts = self.lib.contacts()
         if earlier is not None:
-            self._see_impacts(earlier, contacts)
+            self._see_impacts(*earlier, contacts)
         yield contacts
 
     def _advance(self, steps: int) -> None:
         if steps > 0:
             self.lib.command(f"run {steps} pre no post no")
 
-    def _before(self) -> Before | None:
-        """Copy what the impact speeds of the next step's new contacts are made of; None if particles are lost."""
-        rows = self.lib.rows
-        if len(rows) != len(self.shared.x):
-            return None
-        x, v, force = (self.lib.vectors(name).copy() for name in ("x", "v", "f"))
-        return Before(x=x, v=v, force=force, row=_inverse(rows), mass=float(self.lib.masses[0]))
+    def _last_step(self) -> None:
+        """Run one step, with new neighbour lists where particles are deleted: they go only when these are made."""
+        if not self.given["deletes"]:
+            return self._advance(1)
+        self.lib.command("neigh_modify check no")
+        self._advance(1)
+        self.lib.command("neigh_modify check yes")
 
-    def _see_impacts(self, before: Before, contacts: Array) -> None:
+    def _before(self) -> tuple[Before, Array]:
+        """Copy what the impact speeds of the next step's new contacts are made of."""
+        lib = self.lib
+        x, v = lib.vectors("x").copy(), lib.vectors("v").copy()
+        push = lib.vectors("f") / lib.masses[:, None]
+        row = _inverse(lib.rows, len(self.shared.x))
+        before = Before(x=x, v=v, push=push, radius=lib.radii.copy(), kind=lib.kinds, row=row)
+        return before, lib.wall_contacts().copy() if self.given["meshes"] else np.empty((0, 0))
+
+    def _see_impacts(self, before: Before, near: Array, contacts: Array) -> None:
         """Count the impact speeds of the contacts that began in the last step."""
-        rows = self.lib.rows
-        if len(rows) != len(self.shared.x):
-            return  # the parent will end this run
-        self._watched = float(self.given["dt"])
+        given, rows = self.given, self.lib.rows
+        self._watched = dt = float(given["dt"])
         first, second = (contacts[:, k].astype(np.intp) - 1 for k in (0, 1))
-        period = self.given["period"] or 0.0
-        pairs = pair_speeds(before, first, second, self._diameter, period)
-        walls = wall_speeds(before, self.lib.vectors("x"), rows, self.given["sides"], 0.5 * self._diameter)
-        for kind, speeds in enumerate((pairs, walls)):
-            if len(speeds):
-                self.shared.impacts[kind] += count_speeds(speeds)
-                self.shared.impact_sums[kind] += [(speeds**power).sum() for power in (1, 2, 3)]
+        seen = [pair_speeds(before, first, second, self._periods)]
+        seen += [wall_speeds(before, self.lib.vectors("x"), rows, Surface(*wall)) for wall in given["surfaces"]]
+        if given["meshes"]:
+            kinds = [mesh["kind"] for mesh in given["meshes"]]
+            seen.append(mesh_speeds(before, near, self.lib.wall_contacts(), kinds, dt))
+        for speeds in seen:
+            self._tally(self.shared, speeds)
+
+    def _add_wall_forces(self) -> None:
+        """Put the forces of the particles on the walls, by height, into the shared array [N]."""
+        forces, edges = self.shared.wall_force, np.array(self.given["heights"])
+        forces[:] = 0.0
+        if not len(forces):
+            return
+        heights = self.lib.vectors("x") @ self._up
+        for wall, fix in self.given["forces"]:
+            _add_by_height(forces[wall], edges, heights, self.lib.of_fix(fix))
+        if self.given["meshes"]:
+            near = self.lib.wall_contacts()
+            near = near[near[:, 12] > 0.0]
+            for number, mesh in enumerate(self.given["meshes"]):
+                own = near[near[:, 6] == number]
+                _add_by_height(forces[mesh["wall"]], edges, own[:, 3:6] @ self._up, own[:, 9:12])
+
+    def _forces(self) -> dict[str, Array]:
+        """Return forces and torques by id."""
+        found = {}
+        for name in ("f", "torque"):
+            found[name] = np.full_like(self.shared.x, np.nan)
+            found[name][self.lib.rows] = self.lib.vectors(name)
+        return found
+
+    def _put(self, forces: Mapping[str, Array]) -> None:
+        rows = self.lib.rows
+        for name in ("f", "torque"):
+            self.lib.vectors(name)[:] = forces[name][rows]
 
     def _restore(self, path: Path) -> None:
-        rows = self.lib.rows
         with np.load(path, allow_pickle=False) as saved:
-            self.lib.vectors("f")[:] = saved["f"][rows]
-            self.lib.vectors("torque")[:] = saved["torque"][rows]
-            self._floor = float(saved["floor"])
+            self._put(saved)
 
-    def _by_id(self, name: str) -> Array:
-        out = np.empty_like(self.shared.x)
-        out[self.lib.rows] = self.lib.vectors(name)
-        return out
+    def _come(self) -> Array:
+        """Return how many particles each stream has brought; the fix of a stream knows those since it was made."""
+        return self._inserted + [self.lib.number(fix, 0) for fix in self.given["streams"]]
+
+    def _passed(self) -> Array:
+        """Return what each outlet counts: number and mass [kg] that passed it, and number that was deleted there."""
+        found = [[self.lib.number(fix, place) for place in (1, 0, 5)] for fix, _ in self.given["outlets"]]
+        passed = np.array(found).reshape(-1, 3)
+        passed[[not deletes for _, deletes in self.given["outlets"]], 2] = 0.0
+        return passed
 
     def _sum(self) -> float:
         """Return the floor force summed over all steps so far (the fix gives its mean)."""
-        return self._samples * self.lib.mean("floor_mean")
+        return self._samples * self.lib.number("floor_mean") if self.given["floor"] else 0.0
 
     def _momentum(self) -> float:
         """Return the upward momentum of all particles [N s]."""
-        return float(self.lib.masses @ self.lib.vectors("v")[:, 2])
+        return float(self.lib.masses @ (self.lib.vectors("v") @ self._up))
 
     def _in_plane(self, y: float) -> bool:
         """Whether every particle is exactly in the plane and neither moves nor spins out of it."""
@@ -348,14 +312,75 @@ class Child:
 
     def _bins(self, overlaps: Array) -> Array:
         with np.errstate(divide="ignore"):  # an overlap of exactly 0 belongs to the first bin
-            place = np.floor((np.log10(overlaps / self._diameter) + DECADES) * BINS_PER_DECADE) + 1.0
+            place = np.floor((np.log10(overlaps / float(self.given["d_min"])) + DECADES) * BINS_PER_DECADE) + 1.0
         last = DECADES * BINS_PER_DECADE
         return np.bincount(np.clip(place, 0, last).astype(np.intp), minlength=last + 1).astype(np.float64)
 
 
-def _inverse(rows: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the row of LIGGGHTS for each row of the callers' arrays."""
-    places = np.empty_like(rows)
+class _Rows:
+    """Rows of the callers' arrays by id: a new id gets the next row, one that was gone before is another particle's."""
+
+    def __init__(self, most: int) -> None:
+        self._most, self._next = most, 0
+        self._row_of_id = np.full(most, -1)
+
+    @property
+    def full(self) -> bool:
+        """Whether more particles came than there are rows."""
+        return self._next > self._most
+
+    @property
+    def state(self) -> tuple[NDArray[np.int64], int]:
+        """What `load` takes."""
+        return self._row_of_id, self._next
+
+    def load(self, row_of_id: NDArray[np.int64], following: int) -> None:
+        """Go on as another one would."""
+        self._row_of_id[:], self._next = row_of_id, following
+
+    def __call__(self, ids: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return the rows of the particles that are there now, by their ids less 1."""
+        if len(ids) == self._most == self._next:
+            return self._row_of_id[ids]
+        there = np.zeros(max(self._most, int(ids.max(initial=-1)) + 1), dtype=bool)
+        there[ids] = True
+        if len(there) > self._most:
+            self._next = self._most + 1
+            return ids
+        self._row_of_id[~there] = -1
+        new = np.flatnonzero(there & (self._row_of_id < 0))
+        self._row_of_id[new] = self._next + np.arange(len(new))
+        self._next += len(new)
+        return self._row_of_id[ids]
+
+
+class _Tally:
+    """Counts impact speeds by pair of species."""
+
+    def __init__(self, pairs: Sequence[Sequence[int]], kinds: int) -> None:
+        self._number = np.zeros((kinds, kinds), dtype=np.intp)
+        for number, (i, j) in enumerate(pairs):
+            self._number[i, j] = self._number[j, i] = number
+
+    def __call__(self, shared: Shared, speeds: Speeds) -> None:
+        """Add to the shared sums."""
+        which = self._number[speeds.one, speeds.other]
+        for pair in np.unique(which):
+            own = speeds.v[which == pair]
+            shared.impacts[pair] += count_speeds(own)
+            shared.impact_sums[pair] += [(own**power).sum() for power in (1, 2, 3)]
+
+
+def _add_by_height(to: Array, edges: Array, heights: Array, force: Array) -> None:
+    """Add the reactions to ``force`` (n, 3) [N] on particles at ``heights`` (n,) [m] to (heights, 3) sums."""
+    place = np.clip(np.searchsorted(edges, heights, side="right") - 1, 0, len(to) - 1)
+    for axis in range(3):
+        to[:, axis] -= np.bincount(place, force[:, axis], len(to))
+
+
+def _inverse(rows: NDArray[np.intp], most: int) -> NDArray[np.intp]:
+    """Return the row of LIGGGHTS for each of ``most`` rows of the callers' arrays, -1 where there is none."""
+    places = np.full(most, -1)
     places[rows] = np.arange(len(rows))
     return places
 
@@ -371,7 +396,7 @@ def serve(channel: socket.socket, child: Child, kept: int) -> None:
     channel.send(json.dumps(child.publish()).encode())
     while message := channel.recv(MAX_MESSAGE):
         request = json.loads(message)
-        answer = child.save() if request["do"] == "save" else child.run(int(request["steps"]))
+        answer: dict[str, Any] = getattr(child, request.pop("do"))(**request)
         if os.fstat(1).st_size > kept + MAX_LOG:
             os.ftruncate(1, kept)  # opened for appending: the next line follows the deck's
         channel.send(json.dumps(answer | child.publish()).encode())
@@ -380,9 +405,9 @@ def serve(channel: socket.socket, child: Child, kept: int) -> None:
 def main(arguments: list[str]) -> None:
     """Take the inherited socket and mapping, and serve."""
     given = json.loads(arguments[0])
-    count = int(given["count"])
+    sizes = Sizes(*given["sizes"])
     channel, memory = map(int, os.environ[VARIABLE].split())
-    shared = Shared.over(mmap.mmap(memory, Shared.size(count)), count)
+    shared = Shared.over(mmap.mmap(memory, sizes.bytes), sizes)
     library = Library()
     serve(socket.socket(fileno=channel), Child(library, shared, given), os.fstat(1).st_size)
     library.close()

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bed_runs import facts
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -23,8 +24,8 @@ from kncal.core.arrays import read_npz
 from kncal.core.errors import KncalError
 from kncal.core.files import read_json
 from kncal.record import liggghts_dump, liggghts_log, openfoam
-from kncal.record.facts import BedFacts
 from kncal.record.series import read_series
+from kncal.record.steps import ParticleState
 from kncal.runs.folder import read_manifest, read_result
 from kncal.scene.case_file import load_case, parse_case, shipped_cases
 from kncal.scene.case_text import find_case
@@ -271,10 +272,9 @@ def test_openfoam_files(folder: Path, field: bytes, numbers: bytes) -> None:
     only_ours(lambda: openfoam.read_list(keep(folder / "list", numbers)))
 
 
-FACTS = BedFacts(
-    name="x", kind="linear", size=(1.0, 1.0, 1.0), cells=(1, 1, 2), front_back="walls", count=2, diameter=0.1,
-    density=1000.0, gravity=9.81, gas_density=1.2, jet=False, coupling=1e-3, histogram_edges=(0.0, 0.5, 1.0),
-)  # fmt: skip
+FACTS = facts(
+    size=(1.0, 1.0, 1.0), cells=(1, 1, 2), count=2, diameter=0.1, histogram_edges=(0.0, 0.5, 1.0), walls=("floor",)
+)
 
 
 def piece(folder: Path) -> bytes:
@@ -282,11 +282,11 @@ def piece(folder: Path) -> bytes:
     if not good.exists():
         from kncal.record.series import SeriesWriter
 
-        x = np.full((2, 3), 0.5)
+        state = ParticleState.at_rest(np.full((2, 3), 0.5))
         with SeriesWriter(good.parent, FACTS) as writer:
-            writer.add(1, 0.5, None, None, x, x)
-            writer.frame(1, x, x, None)
-            writer.add(2, 0.5, None, None, x, x)
+            writer.add(1, 0.5, None, None, state)
+            writer.frame(1, state, None)
+            writer.add(2, 0.5, None, None, state)
     return good.read_bytes()
 
 
@@ -300,16 +300,17 @@ def series(folder: Path) -> Path:
 def test_the_series_to_damage_is_good(folder: Path, series: Path) -> None:
     keep(series / "piece-00000.npz", piece(folder))
     keep(series / "facts.json", json.dumps(asdict(FACTS)).encode())
-    assert len(read_series(series).t) == 2
+    found = read_series(series)
+    assert len(found.t) == 2 and found.x[0].shape == (2, 3)
 
 
 @fuzzed(short=200)
 @given(data=st.data())
 def test_series(folder: Path, series: Path, data: st.DataObject) -> None:
     good = piece(folder)
-    facts = json.dumps(asdict(FACTS)).encode()
+    about = json.dumps(asdict(FACTS)).encode()
     arrays = data.draw(damaged(good, b"PK\x05\x06", b"'shape': (9999999999,)", b"'descr': '|O'", b"True", b"<f4"))
     keep(series / "piece-00000.npz", arrays)
-    keep(series / "facts.json", data.draw(st.one_of(st.just(facts), damaged(facts, b"null", b"[]", b'"x"'))))
-    only_ours(lambda: read_series(series))
+    keep(series / "facts.json", data.draw(st.one_of(st.just(about), damaged(about, b"null", b"[]", b'"x"'))))
+    only_ours(lambda: np.asarray(read_series(series).x))
     only_ours(lambda: read_npz(series / "piece-00000.npz", 1 << 20))
