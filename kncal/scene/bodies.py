@@ -26,6 +26,7 @@ class Particle:
     radius : [m]
     position, velocity : of the centre at t = 0 [m], [m/s]
     spin : angular velocity at t = 0 [rad/s]
+    frozen : whether it never moves: to those that move its mass is infinite
     """
 
     name: str
@@ -35,6 +36,7 @@ class Particle:
     position: Vector
     velocity: Vector = (0.0, 0.0, 0.0)
     spin: Vector = (0.0, 0.0, 0.0)
+    frozen: bool = False
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -30,8 +30,11 @@ def _group(scene: Scene, path: Path, group: Particles) -> Iterator[Problem]:
     if group.file is None and (group.diameter is None) == (group.sizes is None):
         found = "both are given" if group.sizes else "neither is given"
         yield (*path, "diameter"), f"{found}: expected either a diameter or sizes"
-    if group.frozen:
-        yield (*path, "frozen"), "true, and no gas: expected particles that move; for a fixed body a wall"
+    if group.frozen and (scene.frozen or group.place not in ("given", "lattice")):
+        yield (
+            (*path, "frozen"),
+            f'true, with place = "{group.place}": expected "given" or "lattice", and another group that moves',
+        )
     numbers = [key for key in ("count", "mass", "fill") if getattr(group, key) is not None]
     if group.place == "given":
         if bool(group.centres) == (group.file is not None):

@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 
 from kncal.core.errors import CaseFileError, ValidityError
-from kncal.physics.material import Pair, pair, wall_pair
+from kncal.physics.material import Pair, pair, sphere_mass, wall_pair
 from kncal.scene.ballistics import first_touch, initial_overlap
 from kncal.scene.bodies import Particle, Wall
 from kncal.scene.contact_limits import require_possible_scene
@@ -35,7 +35,10 @@ def pair_of(a: Particle, b: Particle | Wall) -> Pair:
     """Return the `Pair` of two bodies of a scene."""
     if isinstance(b, Wall):
         return wall_pair(a.material, a.radius, b.material)
-    return pair(a.material, a.radius, b.material, b.radius)
+    both = pair(a.material, a.radius, b.material, b.radius)
+    if a.frozen == b.frozen:
+        return both
+    return replace(both, m_eff=sphere_mass((b if a.frozen else a).material, (b if a.frozen else a).radius))
 
 
 def plan(scene: Scene, kinds: Iterable[str] = KINDS) -> dict[str, Plan]:

@@ -235,6 +235,7 @@ class Scene:
             position=position,
             velocity=group.velocity,
             spin=group.spin,
+            frozen=group.frozen,
         )
 
     @cached_property

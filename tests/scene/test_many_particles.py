@@ -182,3 +182,17 @@ def test_a_case_names_no_file_outside_of_its_folder(name: str, tmp_path: Path) -
     group = f'[particles.beads]\nmaterial = "glass"\nfile = "{name}"\n'
     with pytest.raises(CaseFileError, match="file"):
         scene(CONE + group, folder=tmp_path / "case")
+
+
+def test_a_frozen_particle_has_no_finite_mass_for_those_that_move() -> None:
+    base = (
+        BEADS.replace("particles.beads", "particles.base").replace("low = 0.02,", "low = 0.21,").replace("0.2}", "0.3}")
+    )
+    made = scene(CONE + BEADS + base + "frozen = true\n")
+    contacts = plan(made, ("linear",))["linear"].named
+    m = 2500 * np.pi / 6.0 * 3e-3**3
+    assert contacts["beads.2", "base.2"].m_eff == pytest.approx(m, rel=1e-12)
+    assert contacts["beads.2", "beads.2"].m_eff == pytest.approx(m / 2.0, rel=1e-12)
+    assert contacts["beads.2", "base.2"].R_eff == contacts["beads.2", "beads.2"].R_eff
+    with pytest.raises(CaseFileError, match="frozen"):
+        scene(CONE + BEADS + "frozen = true\n")
