@@ -77,14 +77,15 @@ def deck(model: Plan, every: int) -> str:
             "poissonsRatio": "peratomtype " + " ".join(repr(m.poisson) for m in materials if m),
             "coefficientRestitution": matrix("e", lambda c: c.e_n),
         }
+    memory = "history" if any_contact.spring else "no_history"
     switches = "tangential_damping " + ("on" if any(c.c_t for c in model.contacts.values()) else "off")
     switches += " limitForce on" if any_contact.end == "force" else ""
     lines += [f"fix p{k} all property/global {name} {text}" for k, (name, text) in enumerate(properties.items())]
-    lines += [f"pair_style gran model {style} tangential history {switches}", "pair_coeff * *"]
+    lines += [f"pair_style gran model {style} tangential {memory} {switches}", "pair_coeff * *"]
     lines.append(f"timestep {model.dt!r}")
     for wall in scene.planes:
         lines.append(
-            f"fix {wall.name} all wall/gran model {style} tangential history primitive "
+            f"fix {wall.name} all wall/gran model {style} tangential {memory} primitive "
             f"type {types[wall.name]} {wall.axis}plane {wall.position!r} {switches}"
         )
     for k, p in enumerate(scene.spheres, start=1):

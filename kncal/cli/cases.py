@@ -95,7 +95,17 @@ def laws(*, json: Json = False) -> None:
     from kncal.physics.methods import METHODS
 
     lists: tuple[tuple[Any, str, dict[str, str]], ...] = (
-        (LAWS, "Contact laws", {"name": "law", "title": "what it is", "source": "source", "note": "note"}),
+        (
+            LAWS,
+            "Contact laws",
+            {
+                "name": "law",
+                "title": "what it is",
+                "liggghts": "in LIGGGHTS",
+                "source": "source",
+                "note": "note",
+            },
+        ),
         (
             METHODS,
             "Methods for k_n",

@@ -99,6 +99,13 @@ def _contact(scene: Scene) -> Iterator[Problem]:
             METHODS[contact.method].options(contact.options)
         except InputError as error:
             yield ("contact", "options"), str(error)
+    if scene.needs.get("history") is False:
+        if contact.tangential_damping == "none":
+            text = "there is no tangential_damping, so friction would have neither spring nor dashpot"
+            yield ("needs", "history"), f'history = false: {text}: expected contact.tangential_damping = "liggghts"'
+        if contact.rolling_model != "cdt":
+            text = f'history = false with rolling_model = "{contact.rolling_model}", a spring: expected "cdt"'
+            yield ("needs", "history"), text
     if contact.rolling_damping > 0.0 and contact.rolling_model != "epsd":
         why = f'has no meaning for rolling_model = "{contact.rolling_model}": leave it out, or take "epsd"'
         yield ("contact", "rolling_damping"), f"rolling_damping = {contact.rolling_damping:g}: {why}"

@@ -263,7 +263,7 @@ def sticking_limit(contact: PairContact, delta: float, contacts: float = 1.0) ->
 
     Its contact point is 7/2 times as light as the spheres are: `verlet_limit` of 3.5 k_t and 3.5 c_t.
     """
-    if contact.friction == 0.0 or contact.k_t == 0.0:
+    if contact.friction == 0.0 or contact.k_t == 0.0 or not contact.spring:
         return math.inf
     k_t, c_t = contact.k_t * delta ** (contact.n - 1.0), contact.c_t * delta**contact.p
     return float(verlet_limit(LIGHTER * k_t, contact.m_eff, LIGHTER * c_t, contacts))

@@ -25,7 +25,8 @@ class PairContact:
 
     Normal force (positive = repulsion): F = k delta^n + c delta^p delta_dot; cohesion pulls beside it.
     Tangential force: -k_t delta^(n-1) s - c_t delta^p u of a spring stretched by s, with the velocity u of the contact
-    point; where the spring pulls with more than friction·|F| it slips at that force, without damping.
+    point; where the spring pulls with more than friction·|F| it slips at that force, without damping. Without the
+    spring the dashpot alone pulls, with friction·|F| at most.
 
     Attributes
     ----------
@@ -43,6 +44,7 @@ class PairContact:
     friction : Coulomb coefficient [-]
     k_t : tangential stiffness: [N/m] (linear), or 8 G_eff sqrt(R_eff) [N/m^1.5], times sqrt(delta) (hertz)
     c_t : tangential damping [N s/m^(1+p)]
+    spring : whether the contact has its tangential spring
     rolling_model, rolling_damping : as in the case
     cohesion : energy density of the attraction by contact area [J/m³]
     warnings : what the calibration says about this pair, code -> sentence
@@ -66,6 +68,7 @@ class PairContact:
     rolling_friction: float
     k_t: float
     c_t: float = 0.0
+    spring: bool = True
     rolling_model: str = "cdt"
     rolling_damping: float = 0.0
     cohesion: float = 0.0
@@ -80,8 +83,10 @@ class PairContact:
         """Return -u(t_c)/u(0) of the contact point if it never slips (`kncal.physics.tangential`); None without v_0."""
         if self.v_0 is None and self.n != 1.0:
             return None
-        numbers = {key: getattr(self, key) for key in ("n", "p", "k", "c", "k_t", "c_t", "m_eff", "end")}
-        return stick_restitution(**numbers, v_0=1.0 if self.v_0 is None else self.v_0)
+        numbers = {key: getattr(self, key) for key in ("n", "p", "k", "c", "c_t", "m_eff", "end")}
+        return stick_restitution(
+            **numbers, k_t=self.k_t if self.spring else 0.0, v_0=1.0 if self.v_0 is None else self.v_0
+        )
 
     def pull_off(self) -> float:
         """Return the largest force [N] that the contact at rest resists when it is pulled; 0 of a linear one."""

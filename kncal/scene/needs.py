@@ -25,7 +25,7 @@ _OF_CONTACTS = ("tangential", "rolling", "tangential_damping", "history", "cohes
 PHYSICS = (*_OF_CONTACTS, "rotation", "gravity", "walls", "pair_contacts", "gas")
 BED_PHYSICS = ("gas", "motion", "settling", "contacts", *_OF_CONTACTS, "depth", "coupling", "liggghts", "openfoam")
 #: Those where a user may know better; the others are facts of the scene, or follow from these.
-OVERRULABLE = ("tangential", "rolling")
+OVERRULABLE = ("tangential", "rolling", "history")
 
 
 @dataclass(frozen=True)
@@ -269,7 +269,10 @@ def _of_coupled(scene: Scene) -> Needs:
         Need("contacts", contacts, why_contacts),
         tangential,
         rolling,
-        *_that_follow(scene, contacts, tangential.used, rolling.used, damping.used),
+        *(
+            _overruled(n, scene.needs)
+            for n in _that_follow(scene, contacts, tangential.used, rolling.used, damping.used)
+        ),
         damping,
         *([_depth(scene)] if scene.run.coupling is not None else _of_walls(scene)),
         _coupling(gas, motion.used, bool(scene.number)),

@@ -233,11 +233,12 @@ def bond_number(contact: PairContact, bodies: Iterable[Body], g: float) -> float
     return None if g == 0.0 else contact.pull_off() / (min(masses) * g)
 
 
-def smooth(contact: PairContact, *, tangential: bool, rolling: bool, damped: bool) -> PairContact:
-    """Return the contact without the friction, and the tangential damping, that a scene doesn't need."""
+def smooth(contact: PairContact, *, tangential: bool, rolling: bool, damped: bool, spring: bool) -> PairContact:
+    """Return the contact without the friction, the tangential damping and spring that a scene doesn't need."""
     return replace(
         contact,
         friction=contact.friction if tangential else 0.0,
         rolling_friction=contact.rolling_friction if rolling else 0.0,
         c_t=contact.c_t if damped else 0.0,
+        spring=spring or not tangential,
     )

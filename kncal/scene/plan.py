@@ -173,7 +173,7 @@ def species_contacts(
     `pair_choice`; ``needs``: friction that it does not name is left out, None: all of it stays.
     """
     species, speed = species_of(scene), first_speed or speed_once()
-    parts = {"tangential": "tangential", "rolling": "rolling", "damped": "tangential_damping"}
+    parts = {"tangential": "tangential", "rolling": "rolling", "damped": "tangential_damping", "spring": "history"}
     uses = {key: needs is None or needs.uses(name) for key, name in parts.items()}
 
     def made(which: SpeciesPair, overlap: float) -> PairContact:

@@ -375,16 +375,20 @@ def test_friction_is_that_of_liggghts(kind: str, scene: Scene, tmp_path: Path) -
 
 @pytest.mark.solver
 @pytest.mark.parametrize(("kind", "law"), [("linear", "tsuji"), ("hertz", "tsuji"), ("hertz", "kuwabara_kono")])
-@pytest.mark.parametrize("friction", [0.3, 5.0], ids=["slips", "sticks"])
+@pytest.mark.parametrize(
+    ("friction", "spring"), [(0.3, True), (5.0, True), (0.3, False)], ids=["slips", "sticks", "no-spring"]
+)
 @pytest.mark.parametrize(
     "scene",
     [on_wall(velocity=(0.5, 0.2, -1.0), spin=(3.0, 50.0, 100.0)), oblique_pair(radius_2=3 * R)],
     ids=["wall", "pair"],
 )
 def test_tangential_damping_is_that_of_liggghts(
-    kind: str, law: str, friction: float, scene: Scene, tmp_path: Path
+    kind: str, law: str, friction: float, spring: bool, scene: Scene, tmp_path: Path
 ) -> None:
     given = model(scene, kind, t_end=1.5e-3, e_n=0.8, friction=friction, flight_every=1, damping_t="same", law=law)
+    contacts = {pair: dataclasses.replace(c, spring=spring) for pair, c in given.contacts.items()}
+    given = dataclasses.replace(given, contacts=contacts)
     ours = integrate(given)
     _, rows = run(given, tmp_path)
     undamped = integrate(model(scene, kind, t_end=1.5e-3, e_n=0.8, friction=friction, flight_every=1, law=law))

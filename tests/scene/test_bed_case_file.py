@@ -153,7 +153,7 @@ FAULTS = [
     ("gravity = [0.0, 0.0, -9.8]", "gravity = [0.0, 1.0, -9.8]", "expected it downwards", "gravity"),
     ("gravity = [0.0, 0.0, -9.8]", "", "nothing settles", None),
     ("pressure_drop = 0.03", "pressure_dorp = 0.03", "did you mean 'pressure_drop'?", "pressure_dorp"),
-    ("tangential = false", "gas = false", "expected one of rolling, tangential", None),
+    ("tangential = false", "gas = false", "expected one of history, rolling, tangential", None),
     ("[gas]", '[walls.lid]\naxis = "z"\nposition = 0.08\nmaterial = "soft"\n\n[gas]', "only the wall of shape", None),
     ("[gas]", '[particles.sand]\nmaterial = "soft"\ndiameter = 1e-3\n\n[gas]', "expected one group", None),
 ]

@@ -162,7 +162,12 @@ def test_counts_that_are_none(bad: str) -> None:
         ("t_c_2 = 0.1", "t_c_1 = 0.1", 40, "tolerances.t_c_1"),
         ("t_c_2 = 0.1", "trajectory_2 = 0.1", 40, "tolerances.trajectory_2"),
         ("tangential = true", "tangential = 1", 43, "needs.tangential = 1: expected true or false"),
-        ("tangential = true", "gas = true", 43, "needs.gas: physics = 'gas': expected one of rolling, tangential"),
+        (
+            "tangential = true",
+            "gas = true",
+            43,
+            "needs.gas: physics = 'gas': expected one of history, rolling, tangential",
+        ),
     ],
 )
 def test_refusal_says_where_what_and_what_is_expected(old: str, new: str, line: int, wanted: str) -> None:

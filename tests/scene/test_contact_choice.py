@@ -221,3 +221,18 @@ def test_kn_of_a_case_says_what_friction_and_cohesion_make_of_it(
     assert linear["bond_number"] == 0.0
     weight = mass(own["hertz"].scene.spheres[0]) * 9.81
     assert hertz["bond_number"] == pytest.approx(own["hertz"].between("ball", "floor").pull_off() / weight, rel=1e-12)
+
+
+def test_friction_without_its_spring_needs_a_dashpot() -> None:
+    without = "[needs]\nhistory = false\n"
+    with pytest.raises(CaseFileError, match="tangential_damping"):
+        parse_case(CASE.format(contact="friction = 0.3") + without, name="x")
+    with pytest.raises(CaseFileError, match="rolling_model"):
+        parse_case(CASE.format(contact='tangential_damping = "liggghts"\nrolling_model = "epsd2"') + without, name="x")
+    given = parse_case(CASE.format(contact='friction = 0.3\ntangential_damping = "liggghts"') + without, name="x")
+    linear = plan(given)["linear"].between("ball", "floor")
+    assert not linear.spring
+    # a dashpot alone never turns the surface round
+    e_t = linear.stick_restitution()
+    assert e_t is not None
+    assert -1.0 < e_t < 0.0

@@ -211,16 +211,25 @@ def _contacts(model: Plan, motion: _Motion) -> list[_Apply]:
     return applies
 
 
-def _spring(contact: PairContact) -> Callable[[float], float]:
-    """Tangential stiffness [N/m] at an overlap: constant, or 8 G_eff sqrt(R_eff delta) (Mindlin 1949)."""
-    k_t = contact.k_t
-    return (lambda delta: k_t) if contact.n == 1.0 else (lambda delta: k_t * sqrt(delta))
+class _Tangential:
+    """Spring and dashpot of a contact along its surface, k_t delta^(n-1) and c_t delta^p."""
 
+    def __init__(self, contact: PairContact) -> None:
+        self.k_t, self.c_t, self.p = contact.k_t, contact.c_t, contact.p
+        self.linear, self.spring = contact.n == 1.0, contact.spring
 
-def _dashpot(contact: PairContact) -> Callable[[float], float]:
-    """Tangential damping [N s/m] at an overlap, c_t delta^p."""
-    c_t, p = contact.c_t, contact.p
-    return lambda delta: c_t * delta**p if c_t else 0.0
+    def at(self, delta: float, limit: float, stretch: float, speed: float) -> tuple[float, float, float]:
+        """Return the share of its stretch that the spring keeps, its stiffness [N/m], and the damping [N s/m].
+
+        Beyond ``limit`` [N], friction times the normal force, the spring slips and the dashpot is off; without a
+        spring the dashpot pulls with that at most.
+        """
+        c_t = self.c_t * delta**self.p if self.c_t else 0.0
+        if not self.spring:
+            return 0.0, 0.0, limit / speed if c_t * speed > limit else c_t
+        k_t = self.k_t if self.linear else self.k_t * sqrt(delta)  # Mindlin 1949: 8 G_eff sqrt(R_eff delta)
+        pull = k_t * stretch
+        return (limit / pull, k_t, 0.0) if pull > limit else (1.0, k_t, c_t)
 
 
 def _wall_contact(model: Plan, contact: PairContact, motion: _Motion, i: int, wall: Wall) -> _Apply:
@@ -229,7 +238,7 @@ def _wall_contact(model: Plan, contact: PairContact, motion: _Motion, i: int, wa
     axis = AXES.index(wall.axis)
     n, b, c = 3 * i + axis, 3 * i + (axis + 1) % 3, 3 * i + (axis + 2) % 3
     side = 1.0 if x[n] > plane else -1.0
-    law, mu, spring, dashpot = _law(contact), contact.friction, _spring(contact), _dashpot(contact)
+    law, mu, tangential = _law(contact), contact.friction, _Tangential(contact)
     who = f"{model.scene.spheres[i].name}–{wall.name}"
     s_b = s_c = 0.0
 
@@ -252,12 +261,10 @@ def _wall_contact(model: Plan, contact: PairContact, motion: _Motion, i: int, wa
         if moving:
             s_b += u_b * dt
             s_c += u_c * dt
-        k_t, c_t = spring(delta), dashpot(delta)
-        length, limit = k_t * sqrt(s_b * s_b + s_c * s_c), mu * abs(f_n)
-        if length > limit:
-            s_b *= limit / length
-            s_c *= limit / length
-            c_t = 0.0
+        stretch, speed = sqrt(s_b * s_b + s_c * s_c), sqrt(u_b * u_b + u_c * u_c)
+        keeps, k_t, c_t = tangential.at(delta, mu * abs(f_n), stretch, speed)
+        s_b *= keeps
+        s_c *= keeps
         f_b, f_c = -k_t * s_b - c_t * u_b, -k_t * s_c - c_t * u_c
         force[b] += f_b
         force[c] += f_c
@@ -320,7 +327,7 @@ class _PairFriction:
 
     def __init__(self, contact: PairContact, motion: _Motion, i: int, j: int) -> None:
         self.spin, self.i, self.j, self.dt = motion.spin, 3 * i, 3 * j, motion.dt
-        self.stiffness, self.dashpot = _spring(contact), _dashpot(contact)
+        self.tangential = _Tangential(contact)
         self.forget()
 
     def forget(self) -> None:
@@ -346,12 +353,11 @@ class _PairFriction:
 
     def pull(self, delta: float, limit: float, u: _Vector) -> _Vector:
         """Force on the first body [N]; the spring slips back to the Coulomb limit, without damping."""
-        k_t, c_t, (s_0, s_1, s_2) = self.stiffness(delta), self.dashpot(delta), self.s
-        length = k_t * sqrt(s_0 * s_0 + s_1 * s_1 + s_2 * s_2)
-        if length > limit:
-            cut, c_t = limit / length, 0.0
-            s_0, s_1, s_2 = self.s = (s_0 * cut, s_1 * cut, s_2 * cut)
-        return -k_t * s_0 - c_t * u[0], -k_t * s_1 - c_t * u[1], -k_t * s_2 - c_t * u[2]
+        (s_0, s_1, s_2), (u_0, u_1, u_2) = self.s, u
+        stretch, speed = sqrt(s_0 * s_0 + s_1 * s_1 + s_2 * s_2), sqrt(u_0 * u_0 + u_1 * u_1 + u_2 * u_2)
+        keeps, k_t, c_t = self.tangential.at(delta, limit, stretch, speed)
+        s_0, s_1, s_2 = self.s = (s_0 * keeps, s_1 * keeps, s_2 * keeps)
+        return -k_t * s_0 - c_t * u_0, -k_t * s_1 - c_t * u_1, -k_t * s_2 - c_t * u_2
 
 
 def _through(who: str) -> str:

@@ -163,7 +163,8 @@ def contact_context(
         hooke_switch: bool(hooke_switch),
         "tangential_damping off": tangential and not law.damped,
     }
-    selectors = [style, f"tangential {'history' if tangential else 'off'}"]
+    memory = "history" if all(c.spring for c in contacts.values()) else "no_history"
+    selectors = [style, f"tangential {memory if tangential else 'off'}"]
     selectors += ["cohesion sjkr"] if law.cohesion else []
     selectors += [f"rolling_friction {law.rolling}"] if law.rolling else []
     return {

@@ -57,7 +57,8 @@ WALTON_BRAUN = WaltonBraun(
     source="Walton & Braun, J. Rheol. 30 (1986) 949",
     note=(
         "Plastic dissipation with linear springs: loses energy without a dashpot, also in slow motion. This is the "
-        "form with constant e_n and k_1; real plastic contacts lose more at higher speed."
+        "form with constant e_n and k_1; real plastic contacts lose more at higher speed. LIGGGHTS' "
+        "hooke/hysteresis is another law (its e_n falls with the speed), so no engine runs this one."
     ),
     stiffness_exponent=1.0,
 )

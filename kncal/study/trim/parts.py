@@ -106,6 +106,20 @@ def _tangential_damping(scene: Scene, _: str) -> Iterator[Part]:
         yield _not(name, text, "there is no tangential force, or no damping")
 
 
+def _history(scene: Scene, _: str) -> Iterator[Part]:
+    name, text, needs = "history", "tangential spring with its memory", decide(scene)
+    if not needs.uses("tangential"):
+        yield _not(name, text, "there is no tangential force")
+    elif not needs.uses("tangential_damping"):
+        yield _not(name, text, "without tangential damping there is no friction but by the spring")
+    elif needs.uses("rolling") and scene.contact.rolling_model != "cdt":
+        yield _not(name, text, f"the rolling model {scene.contact.rolling_model} needs it")
+    elif needs.uses(name):
+        yield _part(name, text, OFF, "friction by a dashpot alone", {"needs.history": False})
+    else:
+        yield _part(name, text, ON, f"with the {text}", {"needs.history": True})
+
+
 def _cohesion(scene: Scene, _: str) -> Iterator[Part]:
     key, contact = "cohesion_energy_density", scene.contact
     rows = [i for i, choice in enumerate(contact.pairs) if choice.cohesion_energy_density]
@@ -269,6 +283,7 @@ PARTS = Registry(
     PartKind(name="tangential", find=_friction("tangential", "tangential spring and friction")),
     PartKind(name="rolling", find=_friction("rolling", "rolling friction")),
     PartKind(name="tangential_damping", find=_tangential_damping),
+    PartKind(name="history", find=_history),
     PartKind(name="cohesion", find=_cohesion),
     PartKind(name="damping", find=_damping),
     PartKind(name="contact_model", find=_contact_model),
