@@ -264,17 +264,20 @@ CHUNG_OOI = [
         Entry(
             section=_CO,
             what=f"6, {span}: recoil of the contact point (over the largest)",
-            source=source,
+            source=_READ,
             case="chung_ooi_6",
+            sets=sets,
             points="points.csv",
             metric="recoil",
             value=recoil,
-            judged=judged,
             tolerance=0.02,
             scale=7.13,
-            **figure({x: y for x, y in FIGURE_6_RECOIL.items() if (x > 64) == judged}, angle),  # type: ignore[arg-type]
+            **figure({x: y for x, y in FIGURE_6_RECOIL.items() if (x > 64) == gross}, angle),  # type: ignore[arg-type]
         )
-        for span, source, judged in (("s > 2.1", _READ, True), ("s = 0.47 to 1.7", _STICKS, False))
+        for span, gross, sets in (
+            ("s > 2.1", True, ()),
+            ("s = 0.47 to 1.7, sticking", False, ("contact.tangential_damping=liggghts",)),
+        )
     ),
     *(
         Entry(
