@@ -21,8 +21,10 @@ from kncal.core.errors import InputError, RenderError, ValidityError
 from kncal.core.shipped import folder as shipped_folder
 from kncal.core.templating import NAME_PATTERN, checked_name, integer, number, render
 from kncal.engines.liggghts.batch import Liggghts
+from kncal.engines.liggghts.deck_tables import atom_types, contact_context, hertz_style
 from kncal.physics.material import Material, pair
 from kncal.scene.bodies import Particle, Vector, Wall
+from kncal.scene.case_file import parse_case
 from kncal.scene.contact import ContactChoice, PairChoice
 from kncal.scene.model import Plan
 from kncal.scene.plan import plan
@@ -413,3 +415,47 @@ def test_templates_cannot_reach_beyond_their_context(tmp_path: Path, template: s
 def test_missing_template_is_named() -> None:
     with pytest.raises(RenderError, match=r"nothing\.j2"):
         render(shipped_folder("templates"), "nothing.j2", {})
+
+
+ROUGH_BASE = """
+gravity = [0.0, 0.0, -9.81]
+[materials.glass]
+young = 5e6
+poisson = 0.3
+density = 2500
+[particles.base]
+material = "glass"
+diameter = 2e-3
+frozen = true
+positions = [[0.01, 0.01, 1e-3], [0.014, 0.01, 1e-3]]
+[particles.beads]
+material = "glass"
+diameter = 1e-3
+positions = [[0.01, 0.01, 4e-3], [0.014, 0.01, 4e-3]]
+[walls.box]
+shape = "box"
+material = "glass"
+size = [0.02, 0.02, 0.02]
+[contact]
+e_n = 0.8
+v_0 = 0.3
+law = "{law}"
+friction = 0.3
+[run]
+until_time = 0.01
+sample_every = 1e-3
+"""
+
+
+@pytest.mark.parametrize("law", ["tsuji", "kuwabara_kono"])
+def test_a_frozen_sphere_is_as_heavy_as_a_wall(law: str) -> None:
+    made = plan(parse_case(ROUGH_BASE.format(law=law), name="chute"))["hertz"]
+    types = atom_types(made.species)
+    style = hertz_style(made.contacts.values())
+    context = contact_context("chute", types, made.contacts, style, unmet=made.unmet)
+    assert (style == "hertz/stiffness") == (law == "kuwabara_kono")
+    base, bead = (next(i for i, t in enumerate(types) if t.name.startswith(name)) for name in ("base", "beads"))
+    contact = made.contacts[base, bead]
+    assert contact.m_eff == pytest.approx(2500 * math.pi / 6.0 * 1e-3**3, rel=1e-12)
+    assert types[base].held
+    assert style in str(context["selectors"])

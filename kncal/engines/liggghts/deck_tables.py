@@ -17,13 +17,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from kncal.core.errors import RenderError
 from kncal.engines.liggghts.deck_checks import ROUNDING, expect_same, require_law
 from kncal.engines.plan_checks import check_contact, expect
 from kncal.physics.laws import LAWS
-from kncal.physics.material import Material, pair, wall_pair
+from kncal.physics.material import Material, pair, sphere_mass, wall_pair
 from kncal.physics.tangential import TANGENTIAL_DAMPING
 from kncal.scene.bodies import Particle
 from kncal.scene.model import PairContact
@@ -63,6 +63,7 @@ class AtomType:
     material : None for a rigid wall
     radius : of its particles [m]; None for walls, or where nothing is known of it
     is_wall : whether walls are of this type; two walls never touch
+    held : whether its particles are frozen: LIGGGHTS takes their mass as infinite
     bodies : names of what is of this type, for a comment
     """
 
@@ -70,6 +71,7 @@ class AtomType:
     material: Material | None
     radius: float | None = None
     is_wall: bool = False
+    held: bool = False
     bodies: tuple[str, ...] = ()
 
 
@@ -81,6 +83,7 @@ def atom_types(species: SpeciesTable) -> list[AtomType]:
             material=body.material,
             radius=body.radius if isinstance(body, Particle) else None,
             is_wall=not isinstance(body, Particle),
+            held=isinstance(body, Particle) and body.frozen,
             bodies=tuple(alike.name for alike in bodies),
         )
         for bodies in species.members
@@ -338,6 +341,10 @@ def _check_elastic(names: Names, contact: PairContact, one: AtomType, other: Ato
         own = wall_pair(one.material, one.radius, other.material)
     else:
         own = pair(one.material, one.radius, other.material, other.radius)
+    if one.held != other.held and other.material is not None and other.radius is not None:
+        own = replace(
+            own, m_eff=sphere_mass(*((other.material, other.radius) if one.held else (one.material, one.radius)))
+        )
     for key in ("m_eff", "R_eff", "E_eff", "G_eff"):
         expect_same(names, key, getattr(contact, key), float(getattr(own, key)), "value of these two bodies")
 
