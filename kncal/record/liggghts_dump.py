@@ -8,15 +8,15 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, BinaryIO, NoReturn
 
 import numpy as np
 
 from kncal.core.checks import one_of, positive
 from kncal.core.errors import InputError, ReadError
-from kncal.core.files import read_limited
+from kncal.core.files import open_limited, read_limited
 from kncal.record.frames import Trajectory
 
 if TYPE_CHECKING:
@@ -32,19 +32,14 @@ MAX_COLUMNS, MAX_FRAMES = 200, 5_000_000
 
 _KINDS = {"atoms": "ATOMS", "local": "ENTRIES"}
 _INTEGERS = ("id", "type")
-_HEADER_LINES = 9
+_HEADER_LINES, _FIRST = 9, b"ITEM: TIMESTEP\n"
+#: Bytes read at once; a line of a dump is shorter than the second. What comes behind the last blank of a row.
+_BLOCK, _LONGEST_LINE, _TAIL = 1 << 19, 1 << 16, " "
 _HEADER = re.compile(
     rb"ITEM: TIMESTEP\n(\d{1,18}) *\nITEM: NUMBER OF (ATOMS|ENTRIES)\n(\d{1,18}) *\n"
     rb"ITEM: BOX BOUNDS[^\n]*\n(?:[^\nI]*\n){3}ITEM: (ATOMS|ENTRIES)([^\n]*)\n"
 )
 _NUMBER = re.compile(rb"[+-]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|nan|inf|infinity)", re.IGNORECASE)
-
-
-class _Frame(NamedTuple):
-    step: int
-    rows: int
-    start: int
-    end: int
 
 
 def read_dump(path: Path, *, kind: str = "atoms") -> pd.DataFrame:
@@ -73,12 +68,20 @@ def read_dump(path: Path, *, kind: str = "atoms") -> pd.DataFrame:
         If ``kind`` is unknown.
     """
     item = _KINDS[one_of("kind", kind, _KINDS)]
-    data = _read_bytes(path)
-    frames, names = _frames(path, data, item)
-    table = _parse_rows(path, data, item, frames, names)
-    rows = [frame.rows for frame in frames]
-    table.insert(0, "step", np.repeat(np.array([frame.step for frame in frames], dtype=np.int64), rows))
-    return table
+    with open_limited(path, MAX_BYTES, "a LIGGGHTS dump", "dump less often") as file:
+        names = _names(path, file, item)
+        # LIGGGHTS ends each row with a blank, which makes one more column: empty, or the row is too long. Several
+        # blanks between the numbers, or a fault: the second pass or `_refuse` decides.
+        for separator, columns in ((" ", [*names, _TAIL]), (r"\s+", names)):
+            file.seek(0)
+            rows = _Rows(path, file, item, len(names))
+            table = _parse(rows, separator, columns)
+            if rows.fault:
+                raise rows.fault
+            if table is not None:
+                table.insert(0, "step", np.repeat(np.array(rows.steps, dtype=np.int64), rows.counts))
+                return table
+    _refuse(path, _read_bytes(path), item)
 
 
 def read_trajectory(path: Path, names: Sequence[str], radius: Sequence[float], dt: float) -> Trajectory:
@@ -174,112 +177,160 @@ def _read_bytes(path: Path) -> bytes:
     return data
 
 
-def _frames(path: Path, data: bytes, item: str) -> tuple[list[_Frame], list[str]]:
-    """Find every frame, and the columns that all of them share; anything unexpected goes to `_refuse`."""
-    kind = item.encode()
-    frames: list[_Frame] = []
-    columns = b""
-    start = 0
-    while start < len(data):
-        head = _HEADER.match(data, start)
-        if head is None:
-            _refuse(path, data, item)
-        step, counted, rows, listed, named = head.groups()
-        following = data.find(b"ITEM: TIMESTEP\n", head.end())
-        frame = _Frame(int(step), int(rows), head.end(), len(data) if following < 0 else following)
-        columns = columns or named
-        if counted != kind or listed != kind or named != columns:
-            _refuse(path, data, item)
-        if _lines(data, frame.start, frame.end) != frame.rows or data[frame.end - 1] != 10:
-            _refuse(path, data, item)
-        frames.append(frame)
-        start = frame.end
-        if len(frames) > MAX_FRAMES:
-            raise ReadError(f"{path}: more than {MAX_FRAMES} frames; dump less often")
-    names = columns.decode("ascii", errors="replace").split()
+def _names(path: Path, file: BinaryIO, item: str) -> list[str]:
+    """Return the columns that the first frame names."""
+    columns = [file.readline(_LONGEST_LINE) for _ in range(_HEADER_LINES)][-1]
+    prefix = f"ITEM: {item}".encode()
+    if not columns.startswith(prefix) or not columns.endswith(b"\n"):
+        _refuse(path, _read_bytes(path), item)
+    names = columns[len(prefix) :].decode("ascii", errors="replace").split()
     if not names or len(set(names)) != len(names) or {"step", ""} & set(names):
         raise ReadError(
-            f"{path}, line {_HEADER_LINES}: columns {_shown(columns)}; expected distinct names without 'step'"
+            f"{path}, line {_HEADER_LINES}: columns {_shown(columns[len(prefix) :])}; expected distinct names without "
+            "'step'"
         )
-    numbers = len(names) * sum(frame.rows for frame in frames)
-    if len(names) > MAX_COLUMNS or 8 * numbers > MAX_BYTES:
-        raise ReadError(
-            f"{path}: {len(names)} columns, {numbers} numbers; expected at most {MAX_COLUMNS} columns and "
-            f"{MAX_BYTES // 8} numbers; dump less often"
-        )
-    return frames, names
-
-
-def _lines(data: bytes, start: int, end: int) -> int:
-    if end - start < 1 << 14:
-        return data.count(b"\n", start, end)
-    # Twice as fast as `count` on a long text, in blocks that stay in the cache.
-    text = np.frombuffer(data, dtype=np.uint8, count=end - start, offset=start)
-    return sum(int(np.count_nonzero(text[i : i + (1 << 17)] == 10)) for i in range(0, text.size, 1 << 17))
+    if len(names) > MAX_COLUMNS:
+        raise ReadError(f"{path}: {len(names)} columns; expected at most {MAX_COLUMNS}")
+    return names
 
 
 class _Rows(io.RawIOBase):
-    """The rows of all frames as one stream, without their headers and without a copy of the whole."""
+    """The rows of all frames as one stream: headers are checked and taken out as it goes.
 
-    def __init__(self, data: bytes, frames: list[_Frame]) -> None:
-        self._data = memoryview(data)
-        self._frames: Iterator[_Frame] = iter(frames)
-        self._at = self._end = 0
+    ``steps`` and ``counts`` (rows) are those of the frames so far. What is not as expected ends the stream with an
+    error, which `pandas` makes its own; ``fault`` if it is one that nobody else would find.
+    """
+
+    def __init__(self, path: Path, file: BinaryIO, item: str, columns: int) -> None:
+        self._path, self._file, self._kind, self._columns = path, file, item.encode(), columns
+        self.steps: list[int] = []
+        self.counts: list[int] = []
+        self.fault: ReadError | None = None
+        self._rest = self._named = b""
+        self._known = b""  # all of the last header behind its step: in most dumps that of every frame
+        self._left = self._count = self._total = 0
+        self._begun = False
 
     def readable(self) -> bool:
         return True
 
     def read(self, size: int = -1) -> bytes:
-        parts, left = [], size if size >= 0 else len(self._data)
-        while left:
-            if self._at == self._end:
-                frame = next(self._frames, None)
-                if frame is None:
-                    break
-                self._at, self._end = frame.start, frame.end
-            stop = min(self._end, self._at + left)
-            parts.append(self._data[self._at : stop])
-            left -= stop - self._at
-            self._at = stop
+        parts: list[memoryview] = []
+        while not parts:
+            block = self._file.read(_BLOCK)
+            if not block:
+                if self._rest or self._left:
+                    raise ValueError("cut off")
+                return b""
+            self._take(self._rest + block, parts)
+        if not self._begun and len(bytes(parts[0]).partition(b"\n")[0].split()) != self._columns:
+            # pandas takes its number of columns from the first row, so it would not notice one that is too long.
+            raise ValueError("columns")
+        self._begun = True
         return b"".join(parts)
 
+    def _take(self, data: bytes, parts: list[memoryview]) -> None:
+        """Add the rows in ``data`` to ``parts``, and keep what is no whole line or header."""
+        ends = np.flatnonzero(np.frombuffer(data, dtype=np.uint8) == 10)
+        view, at, line = memoryview(data), 0, 0
+        while line < ends.size:
+            if self._left:
+                lines = min(self._left, ends.size - line)
+                self._left -= lines
+                stop = int(ends[line + lines - 1]) + 1
+                parts.append(view[at:stop])
+            elif line + _HEADER_LINES > ends.size:
+                break
+            elif alike := self._like_the_last(data, ends[line:], at, parts):
+                lines = alike * (_HEADER_LINES + self._count)
+                stop = int(ends[line + lines - 1]) + 1
+            else:
+                lines, stop = _HEADER_LINES, int(ends[line + _HEADER_LINES - 1]) + 1
+                self._header(data, at, stop)
+            at, line = stop, line + lines
+        self._rest = data[at:]
+        if len(self._rest) > _HEADER_LINES * _LONGEST_LINE:
+            raise ValueError("a line without end")
 
-def _parse_rows(path: Path, data: bytes, item: str, frames: list[_Frame], names: list[str]) -> pd.DataFrame:
-    """Parse all rows at once: one call per frame would be slow for many small frames."""
+    def _header(self, data: bytes, start: int, stop: int) -> None:
+        """Take the header in ``data[start:stop]``."""
+        head = _HEADER.match(data, start)
+        if head is None or head.end() != stop:
+            raise ValueError("no header")
+        step, counted, rows, listed, named = head.groups()
+        self._named = self._named or named
+        if counted != self._kind or listed != self._kind or named != self._named:
+            raise ValueError("another header")
+        self._count = self._left = int(rows)
+        self._known = data[head.end(1) : stop]
+        self._add([int(step)])
+
+    def _like_the_last(self, data: bytes, ends: np.ndarray, start: int, parts: list[memoryview]) -> int:
+        """Take the whole frames from ``start`` whose headers are the last one but for the step; return how many.
+
+        Near contacts a dump has many frames of few rows: this takes all in a block at once. ``ends`` of lines.
+        """
+        lines = _HEADER_LINES + self._count
+        ends = ends[: ends.size // lines * lines].reshape(-1, lines)
+        if len(ends) < 2 or not self._count:
+            return 0
+        text = np.frombuffer(data, dtype=np.uint8)
+        starts = np.concatenate(([start], ends[:-1, -1] + 1))
+        alike = ends[:, _HEADER_LINES - 1] - ends[:, 1] + 1 == len(self._known)
+        for place, words in ((starts, _FIRST), (ends[:, 1], self._known)):
+            if text.size < len(words):
+                return 0
+            windows = np.lib.stride_tricks.sliding_window_view(text, len(words))
+            there = windows[np.minimum(place, len(windows) - 1)]
+            alike &= (there == np.frombuffer(words, dtype=np.uint8)).all(axis=1)
+        number = int(np.argmin(alike)) if not alike.all() else len(ends)
+        steps = [data[a:b] for a, b in zip((ends[:number, 0] + 1).tolist(), ends[:number, 1].tolist(), strict=True)]
+        if not all(step.isdigit() and len(step) <= 18 for step in steps):
+            return 0
+        view, begins = memoryview(data), ends[:number, _HEADER_LINES - 1] + 1
+        parts += [view[a:b] for a, b in zip(begins.tolist(), (ends[:number, -1] + 1).tolist(), strict=True)]
+        self._add(list(map(int, steps)))
+        return number
+
+    def _add(self, steps: list[int]) -> None:
+        self.steps += steps
+        self.counts += [self._count] * len(steps)
+        self._total += self._count * len(steps)
+        if len(self.steps) > MAX_FRAMES or 8 * self._columns * self._total > MAX_BYTES:
+            self.fault = ReadError(
+                f"{self._path}: more than {MAX_FRAMES} frames or {MAX_BYTES // 8} numbers; dump less often"
+            )
+            raise self.fault
+
+
+def _parse(rows: _Rows, separator: str, names: list[str]) -> pd.DataFrame | None:
+    """Parse all rows at once (one call per frame would be slow for many small frames); None if they are no table."""
     import pandas as pd
 
-    rows = sum(frame.rows for frame in frames)
     types = {name: np.int64 if name in _INTEGERS else np.float64 for name in names}
-    if not rows:
-        return pd.DataFrame({name: np.empty(0, dtype=kind) for name, kind in types.items()})
-    # pandas takes its number of columns from the first row, so it would not notice one that is too long.
-    start = next(frame.start for frame in frames if frame.rows)
-    if len(data[start : data.index(b"\n", start)].split()) != len(names):
-        _refuse(path, data, item)
-    # LIGGGHTS ends each row with a blank, which makes one more column: empty, or the row is too long.
-    tail = " "
     # Up to pandas 3.0 the default reading of decimals may be wrong in the last digit; later it is exact.
     release = tuple(int(part) for part in pd.__version__.split(".")[:2])
     exact = {"float_precision": "round_trip"} if release < (3, 1) else {}
-    for separator, columns in ((" ", [*names, tail]), (r"\s+", names)):
-        try:
-            table: pd.DataFrame = pd.read_csv(  # type: ignore[call-overload]
-                _Rows(data, frames),
-                sep=separator,
-                header=None,
-                names=columns,
-                index_col=False,
-                dtype={**types, tail: np.float64},
-                keep_default_na=False,
-                na_values={name: [""] if name == tail else ["nan", "-nan"] for name in columns},
-                quoting=3,
-                **exact,
-            )
-        except ValueError:
-            continue  # several blanks between the numbers, or a fault: the second pass or `_refuse` decides
-        if len(table) == rows and (tail not in columns or bool(table.pop(tail).isna().all())):
-            return table
-    _refuse(path, data, item)
+    try:
+        table: pd.DataFrame = pd.read_csv(  # type: ignore[call-overload]
+            rows,
+            sep=separator,
+            header=None,
+            names=names,
+            index_col=False,
+            dtype=types,
+            keep_default_na=False,
+            na_values={name: [""] if name == _TAIL else ["nan", "-nan"] for name in names},
+            quoting=3,
+            **exact,
+        )
+    except pd.errors.EmptyDataError:
+        table = pd.DataFrame({name: np.empty(0, dtype=kind) for name, kind in types.items()})
+    except ValueError:
+        return None
+    if len(table) != sum(rows.counts) or (_TAIL in names and not table.pop(_TAIL).isna().all()):
+        return None
+    return table
 
 
 def _refuse(path: Path, data: bytes, item: str) -> NoReturn:

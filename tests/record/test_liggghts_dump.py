@@ -127,6 +127,33 @@ def test_empty_frames(write) -> None:
     assert [str(kind) for kind in none.dtypes] == ["int64", "int64", "int64", "float64"]
 
 
+def many() -> list[str]:
+    """Frames of three kinds in turn, more than are read at once: like the one before, longer, and empty ones."""
+    rows = [["1 1 0.5", "2 1 -0.25"]] * 40 + [["1 1 1"] * 3] + [[]] * 60 + [["3 1 2"]] * 40
+    return [frame(step, rows[step % len(rows)]) for step in range(9000)]
+
+
+def test_frames_alike_and_others(write) -> None:
+    frames = many()
+    table = read_dump(write("".join(frames)))
+    expected = [(step, *map(float, row.split())) for step, text in enumerate(frames) for row in text.split("\n")[9:-1]]
+    assert table.to_numpy().tolist() == [list(row) for row in expected]
+
+
+def test_empty_frames_of_more_than_is_read_at_once(write) -> None:
+    text = "".join(frame(step, []) for step in range(9000)) + frame(10_000, ["1 1 2"])
+    assert read_dump(write(text))["step"].tolist() == [10_000]
+
+
+@pytest.mark.parametrize(("at", "damage"), [(8000, "TIMESTEX"), (77, "TIMESTEX"), (8005, "NUMBER OF ATOM\n")])
+def test_a_bad_header_among_many_has_its_line(write, at: int, damage: str) -> None:
+    frames = many()
+    good, line = damage.replace("X", "P").replace("ATOM\n", "ATOMS\n"), 1 + "".join(frames[:at]).count("\n")
+    frames[at] = frames[at].replace(good, damage)
+    with pytest.raises(ReadError, match=rf"line {line if 'X' in damage else line + 2}: "):
+        read_dump(write("".join(frames)))
+
+
 def test_local_dump(write) -> None:
     text = frame(0, [], "c_p[1] c_p[2]", "ENTRIES") + frame(3, ["1 2.5e-6"], "c_p[1] c_p[2]", "ENTRIES")
     table = read_dump(write(text), kind="local")
