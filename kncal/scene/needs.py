@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -389,16 +389,16 @@ def _of_walls(scene: Scene) -> tuple[Need, ...]:
     streams = [name for name, group in scene.particles.items() if group.place == "stream"]
     moving = [name for name, wall in scene.walls.items() if wall.motion or any(wall.surface_velocity)]
     removed = [name for name, wall in scene.walls.items() if wall.remove_at is not None]
+    rows: tuple[tuple[str, Sequence[str], str, str], ...] = (
+        ("walls", tuple(scene.walls), "can be touched", "nothing bounds the particles"),
+        ("wall_motion", moving, "in motion", "no wall moves"),
+        ("wall_removal", removed, "taken away during the run", "no wall is taken away"),
+        ("insertion", streams, "flowing in during the run", "nothing flows in"),
+        ("outlets", tuple(scene.outlets), "counting what passes", "there are no outlets"),
+        ("periodic", scene.periodic, "periodic", "no axis is periodic"),
+    )
     return tuple(
-        Need(name, bool(found), f"{listed(list(found))} {what}" if found else f"nothing {without}")
-        for name, found, what, without in (
-            ("walls", tuple(scene.walls), "can be touched", "bounds the particles"),
-            ("wall_motion", moving, "move", "moves a wall"),
-            ("wall_removal", removed, "go during the run", "takes a wall away"),
-            ("insertion", streams, "flow in during the run", "flows in"),
-            ("outlets", tuple(scene.outlets), "count what passes", "counts what passes"),
-            ("periodic", scene.periodic, "are periodic", "is periodic"),
-        )
+        Need(name, bool(found), f"{what}: {listed(found)}" if found else without) for name, found, what, without in rows
     )
 
 
