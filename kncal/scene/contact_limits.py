@@ -280,6 +280,7 @@ def dem_steps(model: Plan) -> Iterator[Finding]:
     """Find a time step of a bed that is not stable, or makes e_n wrong."""
     others = model.scene.number - 1
     most = min(CONTACTS_DENSE, others + CORNER)
+    warned: list[tuple[float, str]] = []
     for (a, b), contact in model.named.items():
         if a == b and not others:
             continue  # a lone particle meets none of its kind
@@ -302,7 +303,11 @@ def dem_steps(model: Plan) -> Iterator[Finding]:
                 yield Finding("dem-step", "warn", _swings(f"{a}–{b}", model.dt, sticking, most))
                 continue
         if (coarse := step_error(contact, model.dt, model.shortest)) is not None:
-            yield Finding("dem-step", "warn", f"{a}–{b}: {coarse}")
+            warned.append((coarse.error, f"{a}–{b}: {coarse}"))
+    warned.sort(key=lambda found: -found[0])
+    for i, (_, text) in enumerate(warned[:MOST_ALIKE]):
+        more = len(warned) - MOST_ALIKE if i == MOST_ALIKE - 1 else 0
+        yield Finding("dem-step", "warn", text + (f"; {more} more pairs are less wrong" if more > 0 else ""))
 
 
 def bottom_of_bed(model: Plan) -> Iterator[Finding]:

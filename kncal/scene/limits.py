@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kncal.scene import box_limits, contact_limits, gas_limits
+from kncal.scene import box_limits, contact_limits, gas_limits, granular_limits
 from kncal.scene.finding import Finding
 from kncal.scene.load import EPS_SETTLED, settled_voidage
 from kncal.scene.model import Plan
@@ -42,6 +42,10 @@ def _boxed(scene: Scene) -> bool:
     return scene.run.coupling is not None
 
 
+def _granular(scene: Scene) -> bool:
+    return scene.coupled and scene.run.coupling is None
+
+
 def _gas(scene: Scene) -> bool:
     return scene.gas is not None
 
@@ -65,6 +69,8 @@ LIMITS = (
     Limit(_boxed, lambda p, _: box_limits.depth(p.scene)),
     Limit(_many, lambda p, _: contact_limits.dem_steps(p)),
     Limit(_many, lambda p, _: contact_limits.bottom_of_bed(p)),
+    Limit(_granular, lambda p, _: granular_limits.impacts(p)),
+    Limit(_granular, lambda p, _: granular_limits.streams(p.scene)),
     Limit(_gas, lambda p, _: box_limits.jet_faces(p.scene, p.scene.gas)),
     Limit(_gas, lambda p, _: box_limits.small_cells(p.scene, p.scene.gas)),
     Limit(_gas, lambda p, eps: gas_limits.courant(p, p.scene.gas, eps)),

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from kncal.core.errors import CaseFileError, InputError
 from kncal.scene.case_file import FILES, dump_case, identity_text, kept_identity, load_case, parse_case, write_case
+from kncal.scene.limits import check
 from kncal.scene.model import KINDS
 from kncal.scene.needs import decide
 from kncal.scene.plan import plan
@@ -196,3 +197,25 @@ def test_a_frozen_particle_has_no_finite_mass_for_those_that_move() -> None:
     assert contacts["beads.2", "base.2"].R_eff == contacts["beads.2", "beads.2"].R_eff
     with pytest.raises(CaseFileError, match="frozen"):
         scene(CONE + BEADS + "frozen = true\n")
+
+
+def test_a_fall_that_a_soft_contact_cannot_take_is_said_before_the_run() -> None:
+    """The overlap of a linear contact is v sqrt(m_eff/k_n) without damping."""
+    soft = HEAD.replace("e_n = 0.5", "e_n = 1.0").replace("v_0 = 0.3", "v_0 = 0.3, k_n = 20.0")
+    made = scene(head=soft)
+    model = plan(made, ("linear",))["linear"]
+    low, high = made.extent
+    speed = np.sqrt(2.0 * 9.81 * (high - low)[2])
+    heavy = max(model.named.values(), key=lambda c: c.m_eff)
+    share = speed * np.sqrt(heavy.m_eff / 20.0) / 1e-3
+    (found,) = (f for f in check(model) if f.code == "fast-impact")
+    assert f"{speed:.3g} m/s" in found.message
+    assert f"{share:.2g} of the smallest" in found.message
+
+
+@pytest.mark.parametrize(("rate", "refused"), [(0.05, False), (5.0, True)])
+def test_a_stream_denser_than_particles_can_be_inserted_is_refused(rate: float, refused: bool) -> None:
+    flowing = f'place = "stream"\nrate = {rate}\nvelocity = [0.0, 0.0, -0.5]'
+    made = scene(CONE + BEADS.replace('place = "lattice"', flowing))
+    found = [f for f in check(plan(made, ("linear",))["linear"]) if f.code == "stream-dense"]
+    assert bool(found) == refused

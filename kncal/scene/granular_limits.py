@@ -1,0 +1,89 @@
+"""What scenes of many particles without gas run into: limits for `kncal.scene.limits`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from kncal.scene.bodies import AXES
+from kncal.scene.contact_limits import overlap_at
+from kncal.scene.finding import Finding
+from kncal.scene.model import Plan
+from kncal.scene.scene import Scene
+from kncal.scene.shapes import faces
+from kncal.scene.wall_motion import fastest
+
+#: Overlap of the hardest impact over the smaller radius: a contact of so much is none (refused), or a soft one.
+IMPACT_LARGEST, IMPACT_LARGE = 1.0, 0.2
+#: Share of a stream's region that its particles may fill when the next ones are put there.
+STREAM_LARGE = 0.2
+
+
+def fastest_speed(scene: Scene, interval: float) -> tuple[float, str]:
+    """Return a speed that nothing in the scene exceeds by itself [m/s], and from what.
+
+    That of a fall over the whole height of the domain with the speed of the start, or of the fastest wall.
+    """
+    low, high = scene.extent
+    bounded = np.array([axis not in scene.periodic for axis in AXES])
+    height = float(np.abs(scene.up) @ (bounded * (high - low)))
+    start = max(math.hypot(*group.velocity) for group in scene.particles.values())
+    found = {f"a fall over {height:.3g} m": math.sqrt(2.0 * scene.g * height + start**2)}
+    for name, wall in scene.walls.items():
+        if wall.motion:
+            nodes = faces(wall, path_of=scene.path_of, extent=scene.extent, radius=0.5 * scene.d_min).reshape(-1, 3)
+            found[f"the wall {name!r}"] = fastest(wall, nodes, scene.run.until_time or 0.0, interval)
+        elif any(wall.surface_velocity):
+            found[f"the belt {name!r}"] = math.hypot(*wall.surface_velocity)
+    name = max(found, key=found.__getitem__)
+    return found[name], name
+
+
+def impacts(plan: Plan) -> Iterator[Finding]:
+    """Find contacts too soft for the fastest impact that the scene may have."""
+    speed, why = fastest_speed(plan.scene, plan.coupling)
+    worst: tuple[float, Finding] | None = None
+    for (a, b), contact in plan.named.items():
+        overlap = overlap_at(contact, speed)
+        share = 0.0 if overlap is None else overlap / (0.5 * plan.scene.d_min)
+        if share > IMPACT_LARGE and (worst is None or share > worst[0]):
+            passes = share >= IMPACT_LARGEST
+            worst = (
+                share,
+                Finding(
+                    "fast-impact",
+                    "warn",
+                    f"{a}–{b}: an impact at {speed:.3g} m/s ({why}) makes an overlap of {share:.2g} of the smallest "
+                    f"radius{', so particles may pass through each other' if passes else ''}: expected at most "
+                    f"{IMPACT_LARGE:g} if impacts are that fast; take a stiffer contact, or a lower domain",
+                ),
+            )
+    if worst is not None:
+        yield worst[1]
+
+
+def streams(scene: Scene) -> Iterator[Finding]:
+    """Find streams that are denser than particles can be inserted without touching.
+
+    The mass that flows by is rate = ρ φ A v: A the cross-section of the region along the velocity, φ the share of its
+    volume that is particles.
+    """
+    for name, group in scene.particles.items():
+        if group.place != "stream" or group.rate is None or group.region is None:
+            continue
+        speed = math.hypot(*group.velocity)
+        low, high = group.region.bounds
+        along = np.abs(np.array(group.velocity)) / speed if speed else np.abs(scene.up)
+        length = float(along @ (high - low))
+        speed = math.sqrt(speed**2 + 2.0 * scene.g * length)  # of those that leave it, fallen or not
+        share = group.rate / (scene.materials[group.material].density * group.region.volume / length * speed)
+        if share > STREAM_LARGE:
+            yield Finding(
+                "stream-dense",
+                "refuse",
+                f"the stream {name!r} of {group.rate:g} kg/s would fill {share:.2g} of its region: expected at most "
+                f"{STREAM_LARGE:g}, so that particles can be inserted without touching; take a larger region, a higher "
+                "velocity or a smaller rate",
+            )
