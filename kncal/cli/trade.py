@@ -60,14 +60,14 @@ def trade(
         A shipped case's name, a case folder or a case.toml.
     """
     from kncal.observe.tolerances import parse_tolerances
-    from kncal.scene.metrics import COUPLED, FEW_PARTICLES
+    from kncal.scene.records import records_of
     from kncal.study.trade.trade import FACTORS, STEPS, TradeOptions
     from kncal.study.trade.workflow import run_trade
 
     scene, folder = at.load(case, "trade")
     by.check(scene)
     options = TradeOptions(
-        tolerances=parse_tolerances(tolerances or (), COUPLED if scene.coupled else FEW_PARTICLES),
+        tolerances=parse_tolerances(tolerances or (), records_of(scene)),
         reference=tuple(reference or ()),
         steps=tuple(steps or STEPS),
         factors=_factors(factors) if factors else FACTORS,

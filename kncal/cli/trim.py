@@ -49,7 +49,7 @@ def trim(
         A shipped case's name, a case folder or a case.toml.
     """
     from kncal.observe.tolerances import parse_tolerances
-    from kncal.scene.metrics import COUPLED, FEW_PARTICLES
+    from kncal.scene.records import records_of
     from kncal.study.trim.report import write_trim
     from kncal.study.trim.run import TrimOptions
     from kncal.study.trim.run import trim as run_trim
@@ -59,7 +59,7 @@ def trim(
     options = TrimOptions(
         model=model,
         overrides=tuple(at.overrides or ()),
-        tolerances=parse_tolerances(tolerance or (), COUPLED if scene.coupled else FEW_PARTICLES),
+        tolerances=parse_tolerances(tolerance or (), records_of(scene)),
         parts=None if parts is None else tuple(name.strip() for name in parts.split(",")),
         rounds=rounds,
         engine=by.engine,

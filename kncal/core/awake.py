@@ -13,7 +13,8 @@ import threading
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import Any
+from tempfile import TemporaryFile
+from typing import IO, Any
 
 from kncal.core.stopping import start_deaf
 
@@ -67,21 +68,36 @@ def run_within(limit: float, command: Sequence[str], **options: Any) -> subproce
         If it has not ended within ``limit`` [s], with what it had printed; it and what it started are killed then.
     """
     given = options.pop("input", None)
-    pipe = {"stdin": subprocess.DEVNULL if given is None else subprocess.PIPE, "stdout": subprocess.PIPE}
-    options = {"stderr": subprocess.PIPE, "process_group": 0} | pipe | options
+    options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "process_group": 0} | options
     deadline = awake() + limit
+    # Input from a file: by a pipe, Python sends none of what is left when `communicate` is called again.
+    with TemporaryFile() as source:
+        return _within(deadline, limit, command, options | {"stdin": _ready(source, given)})
+
+
+def _within(
+    deadline: float, limit: float, command: Sequence[str], options: dict[str, Any]
+) -> subprocess.CompletedProcess[Any]:
     with subprocess.Popen(command, **options) as process:  # noqa: S603 - a list of arguments, no shell
         try:
             while True:
                 try:
-                    out, err = process.communicate(given, timeout=LOOK)
+                    out, err = process.communicate(timeout=LOOK)
                     return subprocess.CompletedProcess(command, process.returncode, out, err)
                 except subprocess.TimeoutExpired as late:
                     if awake() >= deadline:
                         raise subprocess.TimeoutExpired(command, limit, late.output, late.stderr) from late
-                    given = None  # it is taken up from the first call
         except BaseException:
             # The whole group: a grandchild that holds a pipe open would keep us waiting.
             with suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
             raise
+
+
+def _ready(source: IO[bytes], given: bytes | str | None) -> IO[bytes] | int:
+    """Return the standard input of a program that is given this; nothing if None."""
+    if given is None:
+        return subprocess.DEVNULL
+    source.write(given.encode("utf-8") if isinstance(given, str) else given)
+    source.seek(0)
+    return source

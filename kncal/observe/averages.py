@@ -8,7 +8,6 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kncal.core.checks import Array
 from kncal.core.errors import InputError
@@ -30,9 +29,12 @@ from kncal.observe.signals import (
     OverlapStatistics,
     Spectrum,
     bed_kind,
+    evenly,
     gas_changes,
+    moving,
     overlap_statistics,
     pressure_spectrum,
+    rest_begin,
     rows_from,
 )
 from kncal.physics.statistics import LONG_START_UP, MIN_SAMPLES, Average, average, average_of_samples, start_up
@@ -54,8 +56,8 @@ class Window(NamedTuple):
     """From when a run is averaged.
 
     ``begin``: start-up left out before this time [s]. ``by``: "given", or the signal of `START_UP_OF` that took longest
-    to settle; "given" too where nothing is left out: of a single particle, a frozen bed and a ramp. ``doubt``: about
-    the whole run, or "".
+    to settle; "rest" where the particles come to rest; "given" too where nothing is left out: of a single particle, a
+    frozen bed, a ramp, and particles that run in or out. ``doubt``: about the whole run, or "".
     """
 
     begin: float
@@ -181,7 +183,7 @@ class BedObservations:
     def frames(self, values: Array) -> Average:
         """Average a signal per frame of the window, over those that are evenly spaced."""
         of = frames_from(self.series, self.begin)
-        even = _evenly(self.series.frame_coupling[of])
+        even = evenly(self.series.frame_coupling[of])
         if not np.isfinite(values[even]).all():
             raise InputError("not defined in every frame")
         if even.sum() < MIN_SAMPLES:
@@ -226,13 +228,16 @@ def window_start(series: BedSeries, discard: float | None = None) -> Window:
     """Return from when a run is averaged: ``discard`` [s], or where the start-up ends as detected."""
     if discard is not None:
         return Window(discard, "given", "")
+    rest = rest_begin(series)
+    if rest is not None and rows_from(series, rest).sum() >= MIN_SAMPLES:
+        return Window(rest, "rest", "")
     signals = {name: getattr(series, name) for name in START_UP_OF}
     ends = {name: start_up(values) for name, values in signals.items() if len(values) and np.isfinite(values).all()}
     if not ends:
         return Window(0.0, "no signal", "")
     name = max(ends, key=lambda key: ends[key])
     begin = float(series.t[ends[name]]) if ends[name] else 0.0
-    if bed_kind(series, begin) in ("single", "frozen") or gas_changes(series, begin):
+    if bed_kind(series, begin) in ("single", "frozen", "passing") or gas_changes(series, begin):
         return Window(0.0, "given", "")
     late = ends[name] >= LONG_START_UP * len(series.t)
     return Window(begin, name, f"the start-up of {name} seems to fill half of the run or more" if late else "")
@@ -280,7 +285,7 @@ def _pressure(seen: BedObservations) -> Array:
 
 def _of_contacts(seen: BedObservations, values: Array) -> Array:
     """Return what is known of particles that move alone."""
-    if not np.isfinite(seen.series.floor[rows_from(seen.series, seen.begin)]).all():
+    if not moving(seen.series, seen.begin):
         raise InputError("no contacts were recorded (particles do not move)")
     return values
 
@@ -392,14 +397,6 @@ def _overlap_share(seen: BedObservations) -> Average:
         raise InputError("no contact between particles was recorded")
     share = float(above[rows].mean()) / mean
     return seen.rows(share + (above - share * number) / mean)
-
-
-def _evenly(coupling: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Mark the frames of the rhythm that the first two begin; one more at the end of a run is none of them."""
-    steps = np.diff(coupling)
-    if not len(steps):
-        return np.ones(len(coupling), dtype=bool)
-    return np.concatenate([[True], np.cumsum(steps != steps[0]) == 0])
 
 
 #: Metric -> how it is computed of what was seen; `InputError` where that is not possible.

@@ -106,10 +106,11 @@ class Profile:
     ----------
     axis : 0, 1, 2 for x, y, z; at : (cells,) positions along it [m]; width : of the kernel [m]
     frames : number averaged over
-    density : (cells,) mass per length [kg/m]
+    density : (cells,) mass per length [kg/m]; fraction : (cells,) solids over the volume of the box there [-]
     velocity : (cells, 3) mean velocity, weighted by mass [m/s]; NaN where nothing is
     shear_rate : (cells, 3) its slope along the axis [1/s]
-    temperature : (cells,) granular temperature, per direction [m²/s²]; NaN where nothing is
+    temperature : (cells,) granular temperature, per direction [m²/s²]; both are NaN where nothing is, and within two
+        widths of a side that is not periodic, where reflection flattens the velocity
     spread : (cells, 3) half-width of the 95 % interval of the velocity, from blocks of the frames; NaN with few
     """
 
@@ -118,6 +119,7 @@ class Profile:
     width: float
     frames: int
     density: Array
+    fraction: Array
     velocity: Array
     shear_rate: Array
     temperature: Array
@@ -167,28 +169,70 @@ def profile(
         If there is no frame.
     """
     grid = grid_for([space.low[axis]], [space.high[axis]], [space.periodic[axis]], width)
-    sums = [grid.spread(f.x[:, [axis]], np.column_stack([f.mass, f.mass[:, None] * f.v])) for f in frames()]
+    amounts = ((f.x[:, [axis]], np.column_stack([f.mass, f.mass[:, None] * f.v, f.volume])) for f in frames())
+    sums = [grid.spread(*one) for one in amounts]
     if not sums:
         raise InputError("no frame: expected at least one")
     total = np.mean(sums, axis=0)
     density, here = total[:, 0], total[:, 0] > _EMPTY * total[:, 0].mean()
-    velocity = _over(total[:, 1:], density, here)
+    velocity = _over(total[:, 1:4], density, here)
     (at,), squares = grid.centres, np.zeros(len(density))
     for f in frames():
         mean = np.column_stack([_along(grid, f.x[:, axis], at[here], velocity[here, i]) for i in range(3)])
         square = ((f.v - mean) ** 2).sum(axis=1) / flat
         squares += grid.spread(f.x[:, [axis]], (f.mass * square)[:, None])[:, 0] / len(sums)
+    ends = np.full(len(at), space.periodic[axis])
+    whole = ends | ((at > grid.low[0] + 2.0 * width) & (at < grid.high[0] - 2.0 * width))
+    if len(at) < 2:
+        raise InputError(f"width = {width:g} m: expected less than half of the box along the axis")
     return Profile(
         axis=axis,
         at=at,
         width=width,
         frames=len(sums),
         density=density,
+        fraction=total[:, 4] / float(np.prod(np.delete(space.size, axis))),
         velocity=velocity,
-        shear_rate=np.gradient(velocity, at, axis=0) if len(at) > 1 else np.zeros_like(velocity),
-        temperature=_over(squares[:, None], density, here)[:, 0],
+        shear_rate=np.where(whole[:, None], np.gradient(velocity, at, axis=0), np.nan),
+        temperature=np.where(whole, _over(squares[:, None], density, here)[:, 0], np.nan),
         spread=_spread(np.array(sums), blocks),
     )
+
+
+def layer_exponent(found: Profile, up: float, away: float) -> tuple[float, float]:
+    """Return the exponent n of a layer that flows on a base, and its speed at the surface [m/s].
+
+    v = v_b + v_s (1 - ((h - z)/h)^n) by least squares, of the component that moves most, where the density is at least
+    half of that inside, ``away`` [m] from base and surface. ``up``: the side of the surface, the sign of the axis. Of
+    Bagnold's profile n is 3/2 (Silbert et al., Phys. Rev. E 64 (2001) 051302).
+
+    Raises
+    ------
+    InputError
+        If the layer has fewer than six cells in between, or there is no such fit.
+    """
+    from scipy.optimize import curve_fit
+
+    flow = found.velocity[:, int(np.nanargmax(np.abs(np.nanmean(found.velocity, axis=0))))]
+    dense = np.flatnonzero(found.density >= 0.5 * np.median(found.density[found.density > 0.5 * found.density.max()]))
+    z = (found.at - found.at[dense[0]]) if up > 0.0 else (found.at[dense[-1]] - found.at)
+    height = float(found.at[dense[-1]] - found.at[dense[0]])
+    core = (z > away) & (z < height - away) & np.isfinite(flow)
+    if core.sum() < 6:
+        raise InputError(f"a layer of {height:g} m: expected one that is thicker than {2.0 * away:g} m by six cells")
+
+    def speed(z: Array, base: float, slope: float, n: float) -> Array:
+        value: Array = base + slope * (1.0 - (1.0 - z / height) ** n)
+        return value
+
+    start = (flow[core][0], flow[core][-1] - flow[core][0], 1.5)
+    try:
+        (base, slope, n), _ = curve_fit(
+            speed, z[core], flow[core], start, bounds=([-np.inf] * 2 + [0.1], [np.inf] * 2 + [9.0])
+        )
+    except RuntimeError as error:
+        raise InputError(f"no profile of a flowing layer fits the velocities: {error}") from error
+    return float(n), float(base + slope)
 
 
 def _over(above: Array, density: Array, here: NDArray[np.bool_]) -> Array:
@@ -214,7 +258,7 @@ def _along(grid: Grid, x: Array, at: Array, values: Array) -> Array:
 def _spread(sums: Array, blocks: int) -> Array:
     """Return the half-widths (cells, 3) of the mean velocity from means of blocks of frames; NaN with fewer than four.
 
-    ``sums`` (frames, cells, 4): mass and momentum.
+    ``sums`` (frames, cells, 5): mass, momentum, volume.
     """
     from scipy.stats import t as student
 
@@ -223,6 +267,6 @@ def _spread(sums: Array, blocks: int) -> Array:
         return np.full((sums.shape[1], 3), np.nan)
     means = np.array([part.mean(axis=0) for part in np.array_split(sums, count)])
     with np.errstate(invalid="ignore", divide="ignore"):
-        velocity = means[:, :, 1:] / means[:, :, :1]
+        velocity = means[:, :, 1:4] / means[:, :, :1]
     found: Array = velocity.std(axis=0, ddof=1) / np.sqrt(count) * float(student.ppf(0.975, count - 1))
     return found

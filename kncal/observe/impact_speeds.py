@@ -25,7 +25,7 @@ from kncal.physics.statistics import Average, Interval, average
 from kncal.record.series import BedSeries
 from kncal.scene.contact import ContactChoice
 from kncal.scene.pair_contact import PairNumbers, calibration_for
-from kncal.scene.species import SpeciesPair
+from kncal.scene.species import SpeciesPair, SpeciesTable
 
 if TYPE_CHECKING:
     from kncal.scene.contact_event import ContactEvent
@@ -36,7 +36,8 @@ STATISTICS: Mapping[str, str] = {
     "energy_weighted": "energy-weighted mean",
     "p99": "99th percentile",
 }
-#: Which impacts of a coupled run are told apart, with the pair of species: of two particles, of a particle and a wall.
+#: Which impacts of a bed of one kind of particles are told apart, with the pair of species: of two particles, of a
+#: particle and a wall.
 KINDS_OF_IMPACTS: Mapping[str, SpeciesPair] = {"particles": (0, 0), "walls": (0, 1)}
 #: Fewer impacts than this say too little of a mean; of the 99th percentile, a hundred times less the share above it.
 LEAST_IMPACTS, LEAST_FOR_P99 = 100, 1000
@@ -49,7 +50,7 @@ class ImpactSpeeds:
 
     Attributes
     ----------
-    kind : one of `KINDS_OF_IMPACTS`, or "all"
+    kind : of `kinds_of_impacts`, or "all"
     count : number of impacts that were seen
     speeds : name of `STATISTICS` -> Interval [m/s]; empty without impacts
     edges : (bins + 1,) [m/s]; counts : (bins,) of the histogram
@@ -96,8 +97,20 @@ class StiffnessAt:
     problem: str = ""
 
 
-def bed_impact_speeds(series: BedSeries, begin: float, doubt: str = "") -> dict[str, ImpactSpeeds]:
+def kinds_of_impacts(species: SpeciesTable) -> Mapping[str, SpeciesPair]:
+    """Return which impacts of a run with averages are told apart: those of each pair of species, by their names."""
+    pairs = list(species.pairs())
+    if pairs == list(KINDS_OF_IMPACTS.values()):
+        return KINDS_OF_IMPACTS
+    return {"–".join(species.names(pair)): pair for pair in pairs}
+
+
+def bed_impact_speeds(
+    series: BedSeries, begin: float, doubt: str = "", kinds: Mapping[str, SpeciesPair] = KINDS_OF_IMPACTS
+) -> dict[str, ImpactSpeeds]:
     """Return the impact speeds of a bed from ``begin`` [s] on, by kind; ``doubt`` about the run goes to all of them.
+
+    ``kinds``: of `kinds_of_impacts`.
 
     Raises
     ------
@@ -109,7 +122,10 @@ def bed_impact_speeds(series: BedSeries, begin: float, doubt: str = "") -> dict[
     rows = rows_from(series, begin)
     edges = np.array(series.facts.impact_edges)
     found = {}
-    for k, kind in enumerate(KINDS_OF_IMPACTS):
+    for kind, pair in kinds.items():
+        if pair not in series.facts.pairs:  # nothing of that kind can meet
+            continue
+        k = series.facts.pairs.index(pair)
         counts, sums = series.impacts[rows, k].astype(np.float64), series.impact_sums[rows, k]
         number = counts.sum(axis=1)
         speeds = {}
@@ -152,7 +168,8 @@ def enduring(series: BedSeries, begin: float, t_c: float) -> Enduring | None:
     them are younger than t_c. None if no contact was seen.
     """
     rows = rows_from(series, begin)
-    new, watched = float(series.impacts[rows, 0].sum()), float(series.watched[rows].sum())
+    own = [j < len(series.facts.radii) for _, j in series.facts.pairs]  # two particles
+    new, watched = float(series.impacts[rows][:, own].sum()), float(series.watched[rows].sum())
     number = float(np.nanmean(series.contacts[rows])) if rows.any() else 0.0
     if not new or not number > 0.0:
         return None

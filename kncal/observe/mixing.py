@@ -22,7 +22,7 @@ from kncal.core.errors import InputError
 #: Particles per cell of the mixing index.
 CELL = 25
 #: Mixing time: when the index has come this near to its final value, of the way from its first.
-MIXED = 0.95
+MIXED = 0.9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,16 +32,36 @@ class Mixture:
     Attributes
     ----------
     lacey : (S_0² - S²)/(S_0² - S_R²): 0 separate, 1 as by chance
-    intensity : S²/S_0², 1 separate
+    chance : S_R²/S_0², what cells of so few particles have by chance
     error : standard deviation of ``lacey`` of a mixture whose cells are drawn independently
     cells : their number; number : particles per cell
     """
 
     lacey: float
-    intensity: float
+    chance: float
     error: float
     cells: int
     number: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class MixingCurve:
+    """How well particles were mixed over time.
+
+    Attributes
+    ----------
+    t, lacey, error : (frames,) times [s], and see `Mixture`; chance : of the last frame
+    """
+
+    t: Array
+    lacey: Array
+    error: Array
+    chance: float
+
+    @property
+    def intensity(self) -> Array:
+        """(frames,) intensity of segregation S²/S_0²."""
+        return 1.0 - self.lacey * (1.0 - self.chance)
 
 
 def cells_of(x: Array, number: int) -> NDArray[np.int64]:
@@ -91,7 +111,7 @@ def mixture(group: NDArray[np.int64], cell: NDArray[np.int64]) -> Mixture:
     error = float(each.std(ddof=1)) / np.sqrt(cells) / (separate - chance)
     return Mixture(
         lacey=(separate - variance) / (separate - chance),
-        intensity=variance / separate,
+        chance=chance / separate,
         error=error,
         cells=cells,
         number=total / cells,
@@ -99,19 +119,22 @@ def mixture(group: NDArray[np.int64], cell: NDArray[np.int64]) -> Mixture:
 
 
 def mixing_time(t: Array, lacey: Array, last: float) -> float:
-    """Return when an index (n,) at times t (n,) [s] has come within 5 % of the way to its mean ``last`` for good [s].
+    """Return when an index (n,) at times t (n,) [s] has gone `MIXED` of the way to its final value ``last`` [s].
 
-    Linear between frames.
+    Of the curve that only rises and fits the index best in the mean square, linear between frames: the noise of single
+    frames does not end it early.
 
     Raises
     ------
     InputError
         If it does not change by more than chance, or is not there before the last frame.
     """
+    from scipy.optimize import isotonic_regression
+
     way = (lacey - lacey[0]) / (last - lacey[0]) if last != lacey[0] else np.zeros(len(lacey))
-    smooth = np.maximum.accumulate(way)
+    smooth = isotonic_regression(way).x
     there = np.flatnonzero(smooth >= MIXED)
     if not len(there) or there[0] == 0:
-        raise InputError(f"the mixing index does not come within {1 - MIXED:.0%} of its final value")
+        raise InputError(f"the mixing index does not go {MIXED:.0%} of the way to its final value")
     k = int(there[0])
     return float(np.interp(MIXED, smooth[k - 1 : k + 1], t[k - 1 : k + 1]))

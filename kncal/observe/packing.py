@@ -11,12 +11,11 @@ from kncal.core.checks import Array
 from kncal.core.errors import InputError
 from kncal.observe.coarse_graining import grid_for
 from kncal.observe.grains import Grains, Space
+from kncal.observe.mixing import cells_of
 from kncal.observe.surface import bulk_value
 
 #: What is nearer than this many widths of the kernel to a wall or a surface is not bulk.
 AWAY = 2.0
-#: Particles with fewer contacts carry nothing: D + 1 without friction, two with it.
-LEAST_CONTACTS = {"frictionless": 4, "frictional": 2}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,12 +24,13 @@ class Bulk:
 
     Attributes
     ----------
-    fraction : solids fraction [-]
+    fraction : solids fraction [-]; parts : (p,) of eight parts of it, fewer of a small one
     grains : (n,) which particles lie in it
     volume : of the bulk [m³]
     """
 
     fraction: float
+    parts: Array
     grains: NDArray[np.bool_]
     volume: float
 
@@ -50,6 +50,69 @@ class Contacts:
     normal: Array
     overlap: Array
     share: Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class Packed:
+    """The packing of one frame, in its bulk.
+
+    Attributes
+    ----------
+    bulk : Bulk
+    coordination : mean number of contacts of a particle that is no rattler
+    precision : how much of it hangs on whether pairs at the limit of the positions' precision touch
+    rattlers : share of particles that carry nothing
+    anisotropy : see `anisotropy`
+    each : (p, 3) the same three numbers of eight parts of the bulk
+    """
+
+    bulk: Bulk
+    coordination: float
+    precision: float
+    rattlers: float
+    anisotropy: float
+    each: Array
+
+
+def packed(grains: Grains, space: Space, width: float, resolution: float, least: int) -> Packed:
+    """Return the packing of a frame.
+
+    Parameters
+    ----------
+    width : of the coarse-graining kernel [m]
+    resolution : to which positions are known [m]
+    least : contacts without which a particle carries nothing: D + 1 without friction, 2 with it
+
+    Raises
+    ------
+    InputError
+        If there is no bulk.
+    """
+    inside = bulk(grains, space, width)
+    found = contacts(grains, space, resolution)
+    carry, number = backbone(found, ~inside.grains, least)
+    rows = np.flatnonzero(inside.grains)
+    sure = number - np.bincount(found.pairs[np.abs(found.overlap) <= resolution].ravel(), minlength=len(number))
+
+    def numbers(part: NDArray[np.int64]) -> tuple[float, float, float]:
+        those = part[carry[part]]
+        among = np.zeros(len(carry), dtype=bool)
+        among[those] = True
+        touching = among[found.pairs].any(axis=1)
+        turned = anisotropy(found.normal[touching]) if touching.any() else 0.0
+        return float(number[those].mean()) if len(those) else 0.0, 1.0 - len(those) / max(len(part), 1), turned
+
+    mean, rattlers, turned = numbers(rows)
+    cell = cells_of(grains.x[rows], max(len(rows) // 8, 1)) if len(rows) > 1 else np.zeros(len(rows), np.int64)
+    lost = mean - float(sure[rows[carry[rows]]].mean()) if carry[rows].any() else 0.0
+    return Packed(
+        bulk=inside,
+        coordination=mean,
+        precision=lost,
+        rattlers=rattlers,
+        anisotropy=turned,
+        each=np.array([numbers(rows[cell == k]) for k in range(int(cell.max()) + 1)]),
+    )
 
 
 def bulk(grains: Grains, space: Space, width: float) -> Bulk:
@@ -78,8 +141,11 @@ def bulk(grains: Grains, space: Space, width: float) -> Bulk:
         raise InputError(
             f"nothing is farther than {AWAY * width:g} m from a wall or surface: expected a larger packing"
         )
+    places = np.argwhere(inside).astype(np.float64)
+    part = cells_of(places, max(len(places) // 8, 1)) if len(places) > 1 else np.zeros(len(places), np.int64)
     return Bulk(
         fraction=float(solids[inside].mean()),
+        parts=np.bincount(part, weights=solids[inside]) / np.bincount(part),
         grains=inside.ravel()[grid.index(space.wrapped(grains.x))],
         volume=float(inside.sum()) * grid.cell,
     )
@@ -144,32 +210,20 @@ def contacts(grains: Grains, space: Space, beyond: float = 0.0) -> Contacts:
     )
 
 
-def coordination(
-    found: Contacts, among: NDArray[np.bool_], least: int, held: NDArray[np.bool_] | None = None
-) -> tuple[float, float]:
-    """Return the mean number of contacts of the particles of ``among`` (n,) without rattlers, and the share of those.
+def backbone(found: Contacts, held: NDArray[np.bool_], least: int) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+    """Return which particles (n,) carry something, and the number of contacts (n,) with such that each of them has.
 
-    Rattlers have fewer than ``least`` contacts with particles that are none, found by leaving them out until no more
-    are. ``held`` (n,) particles are never rattlers: those at walls, whose other contacts are not known.
-
-    Raises
-    ------
-    InputError
-        If none of them carries anything.
+    The others are rattlers: they have fewer than ``least`` contacts with particles that carry, found by leaving them
+    out until no more are. ``held`` (n,) are never rattlers: those at walls, whose other contacts are not known.
     """
-    backbone = np.ones(len(among), dtype=bool)
-    held = np.zeros(len(among), dtype=bool) if held is None else held
+    carry = np.ones(len(held), dtype=bool)
     while True:
-        both = backbone[found.pairs].all(axis=1)
-        number = np.bincount(found.pairs[both].ravel(), minlength=len(among))
-        loose = backbone & ~held & (number < least)
+        both = carry[found.pairs].all(axis=1)
+        number = np.bincount(found.pairs[both].ravel(), minlength=len(held)).astype(np.int64)
+        loose = carry & ~held & (number < least)
         if not loose.any():
-            break
-        backbone &= ~loose
-    carry = backbone & among
-    if not carry.any():
-        raise InputError("no particle of the bulk has enough contacts to carry anything")
-    return float(number[carry].mean()), 1.0 - float(carry.sum() / among.sum())
+            return carry, number
+        carry &= ~loose
 
 
 def fabric(normal: Array) -> Array:

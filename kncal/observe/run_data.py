@@ -15,6 +15,8 @@ from kncal.observe.averages import BedObservations, observe_bed
 from kncal.observe.contacts import Observations
 from kncal.observe.cost import Cost, cost
 from kncal.observe.estimate import Estimate, missing
+from kncal.observe.grain_metrics import GRAIN_METRICS, grain_estimate
+from kncal.observe.granular import GrainObservations
 from kncal.record.frames import Trajectory
 from kncal.record.outcome import RunResult
 from kncal.record.series import BedSeries
@@ -78,7 +80,7 @@ class RunData:
             raise InputError(f"{self.result.folder}: the run recorded no {what}: expected a run that does")
         return found
 
-    @property
+    @cached_property
     def recorded(self) -> tuple[str, ...]:
         """Names of `kncal.scene.metrics.RECORDS` that the run has."""
         few = () if self.frames is None else FEW_PARTICLES
@@ -91,6 +93,15 @@ class RunData:
             "series:particles": True,
             "series:overlaps": bool(np.isfinite(series.overlap_max).any()),
             "fields:eps_g": len(series.eps_g) > 0,
+        }
+        facts, grains = series.facts, self._granular
+        has |= {
+            "frames:grains": grains and has["frames"],
+            "frames:kinds": grains and has["frames"] and len(facts.groups) > 1,
+            "frames:surface": grains and has["frames"] and self.model.scene.observe.surface is not None,
+            "series:outlets": len(facts.outlets) > 0,
+            "series:grains": grains,
+            "series:walls": grains and len(facts.walls) > 0,
         }
         return (*few, *(name for name, there in has.items() if there))
 
@@ -107,14 +118,41 @@ class RunData:
         return observe_bed(self.series, scene.run.discard, scene.gas)
 
     @cached_property
+    def grains(self) -> GrainObservations | None:
+        """What is seen of many particles that move without gas; None of other runs.
+
+        Raises
+        ------
+        InputError
+            As `seen`.
+        """
+        if not self._granular:
+            return None
+        return GrainObservations(series=self.series, scene=self.model.scene, window=self.seen.window)
+
+    @property
+    def _granular(self) -> bool:
+        """Whether many particles move without gas."""
+        series = self.signals
+        if series is None or series.facts.gas_density > 0.0 or series.facts.count < 2:
+            return False
+        return bool(np.isfinite(series.contacts).any())
+
+    @cached_property
     def estimates(self) -> Mapping[str, Estimate]:
         """Every metric of the run, also those of installed packages; what means nothing for it is not among them."""
         found: dict[str, Estimate] = {}
         if self.contacts is not None:
             found |= {name: self._estimate(name, value) for name, value in self.contacts.metrics.items()}
         if self.signals is not None:
-            found |= self.seen.estimates
+            found |= {name: one for name, one in self.seen.estimates.items() if self._recorded_for(name)}
+        if (grains := self.grains) is not None:
+            names = [name for name in GRAIN_METRICS if self._recorded_for(name) and not self.why_not(name)]
+            found |= {name: grain_estimate(grains, name) for name in names}
         return found | added(self)
+
+    def _recorded_for(self, name: str) -> bool:
+        return set(METRICS[name].needs) <= set(self.recorded)
 
     def _estimate(self, name: str, value: float) -> Estimate:
         if not np.isfinite(value):

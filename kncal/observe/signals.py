@@ -11,6 +11,10 @@ from kncal.core.checks import Array
 from kncal.core.errors import InputError
 from kncal.record.series import BedSeries
 
+#: Mean square speed below which particles without gas are at rest, over g d.
+AT_REST = 1e-4
+#: A mass that changes by more than this share is not steady.
+_PASSING = 0.05
 #: Shortest signal and number of parts that a spectrum is made of.
 _MIN_SPECTRUM, _PARTS = 64, 3
 
@@ -54,16 +58,55 @@ def rows_from(series: BedSeries, begin: float) -> NDArray[np.bool_]:
     return series.t >= begin - 1e-9 * series.facts.coupling
 
 
+def evenly(coupling: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Mark the frames of the rhythm that the first two begin; one more at the end of a run is none of them."""
+    steps = np.diff(coupling)
+    if not len(steps):
+        return np.ones(len(coupling), dtype=bool)
+    return np.concatenate([[True], np.cumsum(steps != steps[0]) == 0])
+
+
 def bed_kind(series: BedSeries, begin: float) -> str:
     """Return which of `kncal.scene.metrics.KINDS_OF_BEDS` a run is from ``begin`` [s] on."""
     if series.facts.count == 0:
         return "gas"
-    rows = rows_from(series, begin)
-    if not np.isfinite(series.floor[rows]).all():
+    if not moving(series, begin):
         return "frozen"
     if series.facts.count == 1:
         return "single"
+    if series.facts.gas_density <= 0.0:
+        return _kind_of_grains(series, begin)
     return "ramp" if gas_changes(series, begin) else "steady"
+
+
+def moving(series: BedSeries, begin: float) -> bool:
+    """Whether the particles move from ``begin`` [s] on, so that their contacts were recorded."""
+    felt = series.floor if series.facts.gas_density > 0.0 else series.contacts  # without gas not all have a floor
+    return bool(np.isfinite(felt[rows_from(series, begin)]).all())
+
+
+def _kind_of_grains(series: BedSeries, begin: float) -> str:
+    """Return the kind of many particles without gas."""
+    if (rest := rest_begin(series)) is not None and begin >= rest:
+        return "resting"
+    mass = series.mass[rows_from(series, begin)]
+    return "passing" if abs(mass[-1] - mass[0]) > _PASSING * mass.max() else "steady"
+
+
+def rest_begin(series: BedSeries) -> float | None:
+    """Return from when on particles without gas are at rest until the end [s]; None if they are not.
+
+    At rest their mean square speed is below `AT_REST` g d, that of a fall through a twenty-thousandth of a diameter;
+    without gravity, below `AT_REST` of its largest.
+    """
+    facts, there = series.facts, series.mass > 0.0
+    if facts.gas_density > 0.0 or not len(series.t) or not there[-1]:
+        return None
+    square = 2.0 * series.kinetic_energy / np.where(there, series.mass, np.inf)
+    fast = np.flatnonzero(square > AT_REST * (facts.gravity * facts.diameter or float(square.max())))
+    if not len(fast):
+        return 0.0
+    return float(series.t[fast[-1] + 1]) if fast[-1] + 1 < len(series.t) else None
 
 
 def gas_changes(series: BedSeries, begin: float) -> bool:

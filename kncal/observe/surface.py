@@ -96,6 +96,21 @@ def cone_fit(grains: Grains, space: Space, centre: Sequence[float], width: float
     return _fitted(at, heights, width, (0.0, 0.0, 0.0))
 
 
+def seen_along(fit: SurfaceFit, grains: Grains, space: Space, centre: Sequence[float]) -> tuple[Array, Array, Array]:
+    """Return where particles are in the picture of a fit: s and h [m], and their radii [m].
+
+    Of a cone those are shown that a cut through its line meets.
+    """
+    if any(fit.across):
+        across = np.asarray(fit.across)
+        upwards = np.asarray(space.up) - across * float(np.dot(space.up, across))
+        return grains.x @ across, grains.x @ (upwards / np.linalg.norm(upwards)), grains.radius
+    a, b = _horizontal(space.up)
+    delta = grains.x - np.asarray(centre)
+    cut = np.abs(delta @ b) <= grains.radius
+    return (delta @ a)[cut], (grains.x @ np.asarray(space.up))[cut], grains.radius[cut]
+
+
 def parts_of_slope(grains: Grains, space: Space, axis: int, least: float) -> list[NDArray[np.bool_]]:
     """Return masks of the slices along ``axis``, each at least ``least`` [m] thick; one of all if there is no room."""
     along = grains.x[:, axis]

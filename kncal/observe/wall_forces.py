@@ -24,14 +24,19 @@ class Silo:
     ----------
     edges : (bins + 1,) heights [m]
     through : (bins + 1,) force through the cross-section at the edges, from the weight above less the walls' [N]
+    carried : (bins,) what the side walls carry [N]; top : height of the surface [m]
     length : lambda [m], inf if the walls carry nothing; limit : force far below the surface w lambda [N]
+    spread : of the length that the upper and the lower half of the filling give alone, half their distance [m]
     fitted : (bins,) which bins were fitted
     """
 
     edges: Array
     through: Array
+    carried: Array
+    top: float
     length: float
     limit: float
+    spread: float
     fitted: NDArray[np.bool_]
 
 
@@ -58,7 +63,23 @@ def silo(edges: Array, weight: Array, carried: Array) -> Silo:
     if full.sum() < 3:
         raise InputError(f"{full.sum()} bins of height are full: expected at least 3 for Janssen's law")
     middle = 0.5 * (above[:-1] + above[1:]) * np.diff(edges)
-    share = float((carried[full] * middle[full]).sum() / (middle[full] ** 2).sum())
-    length = 1.0 / share if share > 0.0 else float("inf")
-    per_height = float(weight[full].sum() / np.diff(edges)[full].sum())
-    return Silo(edges=edges, through=above, length=length, limit=per_height * length, fitted=full)
+    lower, upper = np.array_split(np.flatnonzero(full), 2)
+    length, *ends = (_length(carried[of], middle[of]) for of in (np.flatnonzero(full), lower, upper))
+    whole = weight >= 0.9 * np.median(weight[full])
+    per_height = float(weight[whole].sum() / np.diff(edges)[whole].sum())
+    last = int(np.flatnonzero(whole)[-1])
+    return Silo(
+        edges=edges,
+        through=above,
+        carried=carried,
+        top=float(edges[last + 1] + weight[last + 1 :].sum() / per_height),
+        length=length,
+        limit=per_height * length,
+        spread=0.5 * abs(ends[0] - ends[1]),
+        fitted=full,
+    )
+
+
+def _length(carried: Array, through: Array) -> float:
+    share = float((carried * through).sum() / (through**2).sum())
+    return 1.0 / share if share > 0.0 else float("inf")

@@ -15,6 +15,7 @@ from kncal.observe.compare import Comparison
 from kncal.observe.cost import Cost
 from kncal.record.series import write_series_csv
 from kncal.report.figures import draw_calibration, draw_comparison
+from kncal.report.grains import grains_section
 from kncal.report.overview import Context
 from kncal.report.page import Page, Section, Table, report_folder, write_page
 from kncal.report.rows import table_of
@@ -148,6 +149,7 @@ def _sections(
                 ),
             ),
         ),
+        grains_section(comparison.runs, album),
         Section(title="Figures", figures=figures),
         speeds_section(comparison.runs, album),
         Section(

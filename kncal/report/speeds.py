@@ -10,7 +10,7 @@ import numpy as np
 
 from kncal.core.errors import InputError
 from kncal.core.units import quantity
-from kncal.observe.impact_speeds import KINDS_OF_IMPACTS, STATISTICS, ImpactSpeeds, bed_impact_speeds
+from kncal.observe.impact_speeds import STATISTICS, ImpactSpeeds, bed_impact_speeds, kinds_of_impacts
 from kncal.observe.run_data import RunData
 from kncal.report.page import Section, Table
 from kncal.report.style import Album, dress, model_name, new_axes, save_picture
@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
 #: Kind of impacts -> who meets.
 WHO = {"particles": "two particles", "walls": "a particle and a wall", "all": "all contacts"}
-_COLOURS = {"particles": "#0072B2", "walls": "#D55E00", "all": "#0072B2"}
+#: Most kinds of impacts that a picture shows: the most frequent ones.
+_SHOWN = 3
 _REMARK = (
     "Speeds of new contacts, after the start-up, with 95 % intervals. Energy-weighted: Σv³/Σv², the speed at which the"
     " impacts carry their energy. 99 %: the percentile; the largest overlaps come from these impacts. v_0: the speed"
@@ -38,8 +39,11 @@ def speeds_section(runs: tuple[RunData, ...], album: Album) -> Section:
         name = model_name(data.model.kind)
         if data.signals is None or not data.signals.facts.impact_edges:  # nothing can meet
             continue
-        speeds = bed_impact_speeds(data.series, data.seen.begin, data.seen.window.doubt)
-        for kind, pair in KINDS_OF_IMPACTS.items():
+        kinds = kinds_of_impacts(data.model.species)
+        speeds = bed_impact_speeds(data.series, data.seen.begin, data.seen.window.doubt, kinds)
+        for kind, pair in kinds.items():
+            if kind not in speeds:
+                continue
             v_0 = data.model.contacts[pair].v_0
             rows.append(_row(name, speeds[kind], v_0))
             notes |= dict.fromkeys(_doubts(name, speeds[kind]))
@@ -71,7 +75,7 @@ def speeds_section(runs: tuple[RunData, ...], album: Album) -> Section:
 def _row(name: str, speeds: ImpactSpeeds, v_0: float | None) -> tuple[str, ...]:
     values = [speeds.speeds[each].shown("m/s", 3) if each in speeds.speeds else "–" for each in STATISTICS]
     given = "–" if v_0 is None else quantity(v_0, "m/s", 3)
-    return (name, WHO[speeds.kind], f"{speeds.count:,}", *values, given, _place(speeds, v_0))
+    return (name, WHO.get(speeds.kind, speeds.kind), f"{speeds.count:,}", *values, given, _place(speeds, v_0))
 
 
 def _place(speeds: ImpactSpeeds, v_0: float | None) -> str:
@@ -85,11 +89,11 @@ def _place(speeds: ImpactSpeeds, v_0: float | None) -> str:
 def _doubts(name: str, speeds: ImpactSpeeds) -> Iterator[str]:
     for statistic, found in speeds.speeds.items():
         if found.why:
-            yield f"{name}, {WHO[speeds.kind]}, {STATISTICS[statistic]}: {found.why}"
+            yield f"{name}, {WHO.get(speeds.kind, speeds.kind)}, {STATISTICS[statistic]}: {found.why}"
 
 
 def impact_speeds(speeds: Mapping[str, ImpactSpeeds], title: str = "") -> Axes:
-    """Draw the shares of impacts per decade of speed, with the three speeds.
+    """Draw the shares of impacts per decade of speed, with the three speeds, of the most frequent kinds.
 
     A bin that begins at zero has no place on the logarithmic axis and is left out.
 
@@ -98,18 +102,18 @@ def impact_speeds(speeds: Mapping[str, ImpactSpeeds], title: str = "") -> Axes:
     InputError
         If there was no impact.
     """
-    shown = [found for found in speeds.values() if found.count]
+    most = sorted(speeds.values(), key=lambda found: -found.count)[:_SHOWN]
+    shown = [found for found in speeds.values() if found.count and any(found is one for one in most)]
     if not shown:
         raise InputError("impact speeds: there was no impact to draw")
     ax = new_axes(5.6, 4.8)
     dashes = dict(zip(STATISTICS, (":", "-", "--"), strict=True))
-    for found in shown:
-        colour = _COLOURS[found.kind]
+    for found, colour in zip(shown, ("#0072B2", "#D55E00", "#009E73"), strict=False):
         edges, counts = found.edges[1:], found.counts[1:]
         used = np.flatnonzero(counts)
         part = slice(max(int(used[0]) - 1, 0), int(used[-1]) + 2) if len(used) else slice(0, 1)
         density = counts[part] / found.count / np.diff(np.log10(edges))[part]
-        label = f"{WHO[found.kind]}, {found.count} impacts"
+        label = f"{WHO.get(found.kind, found.kind)}, {found.count} impacts"
         ax.stairs(density, edges[part.start : part.start + len(density) + 1], color=colour, label=label, fill=False)
         for name, estimate in found.speeds.items():
             told = f"{STATISTICS[name]} {estimate.value:.3g} m/s"

@@ -10,18 +10,19 @@ from typing import TYPE_CHECKING, Any
 from kncal.core.errors import InputError
 from kncal.observe.averages import window_start
 from kncal.observe.impact_speeds import (
-    KINDS_OF_IMPACTS,
     Enduring,
     ImpactSpeeds,
     StiffnessAt,
     bed_impact_speeds,
     contact_impact_speeds,
     enduring,
+    kinds_of_impacts,
     stiffness_at,
 )
 from kncal.observe.run_data import RunData
 from kncal.physics.material import Pair
 from kncal.runs.workflow import load
+from kncal.scene.bodies import Particle
 from kncal.scene.model import PairContact
 from kncal.scene.pair_contact import PairNumbers
 from kncal.scene.plan import pair_choice, pair_of, species_choices
@@ -52,8 +53,9 @@ class RunSpeeds:
     ----------
     scene, model : of the run, model "linear" or "hertz"
     begin, end : of the time that counts [s]; of single contacts all of it
-    speeds : "particles" and "walls" of a bed -> ImpactSpeeds; of single contacts `ALL`, or, where pairs met that
-        are not alike, the names of the first of each kind ("ball–floor"), in the order in which they met
+    speeds : "particles" and "walls" of a bed of one kind of particles, else the names of each pair of species ->
+        ImpactSpeeds; of single contacts `ALL`, or, where pairs met that are not alike, the names of the first of each
+        kind ("ball–floor"), in the order in which they met
     pairs : the same keys -> MetPair (of pairs that are alike the first that met)
     enduring : of a bed's contacts, or None
     """
@@ -115,7 +117,8 @@ def run_speeds(folder: Path) -> RunSpeeds:
 def _of_bed(data: RunData) -> RunSpeeds:
     scene, series, species = data.model.scene, data.series, data.model.species
     window = window_start(series, scene.run.discard)
-    speeds = bed_impact_speeds(series, window.begin, window.doubt)
+    kinds = kinds_of_impacts(species)
+    speeds = bed_impact_speeds(series, window.begin, window.doubt, kinds)
     pairs = {
         kind: MetPair(
             names=species.names(pair),
@@ -123,8 +126,10 @@ def _of_bed(data: RunData) -> RunSpeeds:
             numbers=pair_choice(scene, *species.bodies(pair)),
             contact=data.model.contacts[pair],
         )
-        for kind, pair in KINDS_OF_IMPACTS.items()
+        for kind, pair in kinds.items()
+        if kind in speeds
     }
+    own = [pair for pair in kinds.values() if isinstance(species.members[pair[1]][0], Particle)]
     return RunSpeeds(
         scene=scene,
         model=data.model.kind,
@@ -132,7 +137,7 @@ def _of_bed(data: RunData) -> RunSpeeds:
         end=float(series.t[-1]),
         speeds=speeds,
         pairs=pairs,
-        enduring=enduring(series, window.begin, pairs["particles"].contact.t_c),
+        enduring=enduring(series, window.begin, max(data.model.contacts[pair].t_c for pair in own)),
     )
 
 

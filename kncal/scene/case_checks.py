@@ -22,10 +22,11 @@ from kncal.scene.case_text import toml_value
 from kncal.scene.contact import PairChoice
 from kncal.scene.granular_checks import granular
 from kncal.scene.groups import ObserveChoice
-from kncal.scene.metrics import COUPLED, FEW_PARTICLES, METRICS, offered, split_metric
+from kncal.scene.metrics import METRICS, offered, split_metric
 from kncal.scene.needs import OVERRULABLE
 from kncal.scene.placement import PLACEMENTS
 from kncal.scene.problem import Path, Problem, first_speed, interval, known_name, one_of_two
+from kncal.scene.records import records_of
 from kncal.scene.scene import MOST_SINGLE, Scene
 from kncal.scene.values import NAME
 from kncal.scene.walls import BoxWall, PlaneWall
@@ -76,7 +77,7 @@ def _names(scene: Scene) -> Iterator[Problem]:
 
 
 def _metrics_and_needs(scene: Scene) -> Iterator[Problem]:
-    offer = offered(COUPLED if scene.coupled else FEW_PARTICLES)
+    offer = offered(records_of(scene))
     for name in scene.tolerances:
         base, contact = split_metric(name)
         if not (base in offer and METRICS[base].each and contact in range(2, 100) and name == f"{base}_{contact}"):

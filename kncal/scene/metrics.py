@@ -18,6 +18,12 @@ RECORDS: Mapping[str, str] = {
     "series:particles": "height, energy and momentum of the particles, per coupling",
     "series:overlaps": "number and overlaps of the contacts, per coupling",
     "fields:eps_g": "the void fraction of the gas, in some cells and at some times",
+    "frames:grains": "positions and kinds of many particles without gas, at some times",
+    "frames:kinds": "the same of several groups or sizes",
+    "frames:surface": "the same of a scene that says which surface it has (observe.surface)",
+    "series:outlets": "what passed the outlets, per interval",
+    "series:grains": "mass inside and energies of many particles without gas, per interval",
+    "series:walls": "forces on the walls by height, per interval",
 }
 #: What the run of a few particles records, and what that of a bed does.
 FEW_PARTICLES = ("contacts", "frames")
@@ -33,7 +39,9 @@ KINDS_OF_BEDS: Mapping[str, str] = {
     "single": "a single particle",
     "frozen": "a frozen bed (the particles do not move)",
     "ramp": "a bed in a gas velocity that changes",
-    "steady": "a moving bed in a steady gas velocity",
+    "steady": "a moving bed in a steady gas velocity, or a steady flow without gas",
+    "resting": "particles at rest, without gas",
+    "passing": "particles that run in or out, without gas",
 }
 
 
@@ -65,7 +73,10 @@ class Metric:
 _CONTACT, _PARTICLES, _OVERLAPS = ("contacts",), ("series:particles",), ("series:overlaps",)
 _PRESSURE, _FIELD = ("series:pressure",), ("fields:eps_g",)
 _BALANCE = (*_PRESSURE, "series:forces", *_PARTICLES)
-_STEADY, _RAMP, _SINGLE, _FLOWING = ("steady",), ("ramp",), ("single",), ("gas", "frozen", "steady")
+_STEADY, _RAMP, _SINGLE = ("steady", "resting"), ("ramp",), ("single",)
+_FLOWING = ("gas", "frozen", "steady", "resting", "passing")
+_GRAINS, _KINDS, _SURFACE = ("frames:grains",), ("frames:kinds",), ("frames:surface",)
+_MOVING, _ANY, _REST = ("steady",), ("steady", "resting", "passing"), ("resting",)
 
 
 def _bed(
@@ -173,8 +184,34 @@ METRICS: Registry[Metric] = Registry(
     ),
     _bed("contacts", "–", "number of contacts between particles", _OVERLAPS),
     _bed("overlap_mean", "m", "mean overlap of all contacts", _OVERLAPS),
-    _bed("overlap_max", "m", "largest overlap of the run", _OVERLAPS, ("ramp", "steady")),
+    _bed("overlap_max", "m", "largest overlap of the run", _OVERLAPS, ("ramp", *_ANY)),
     _bed("overlap_share", "–", "share of contacts with an overlap above 1 % of the diameter", _OVERLAPS),
+    # of many particles without gas
+    _bed("mass_flow", "kg/s", "mass flow rate through the outlets, in its steady part", ("series:outlets",), _ANY),
+    _bed("residence_time", "s", "mass inside over the mass flow rate", ("series:outlets",), _MOVING),
+    _bed("angle_of_repose", "°", "angle of the surface at rest to the horizontal", _SURFACE, _REST),
+    _bed("dynamic_angle", "°", "mean angle of the moving surface to the horizontal", _SURFACE, ("steady", "passing")),
+    _bed("packing_fraction", "–", "solids fraction away from walls and surfaces", _GRAINS, _ANY),
+    _bed("coordination", "–", "mean number of contacts with particles, rattlers left out", _GRAINS),
+    _bed("rattlers", "–", "share of particles that carry nothing", _GRAINS, difference="absolute"),
+    _bed("anisotropy", "–", "anisotropy of the directions of contacts", _GRAINS, difference="absolute"),
+    _bed("speed", "m/s", "mean speed of the particles", _GRAINS, ("steady", "passing")),
+    _bed("profile_exponent", "–", "exponent of the velocity profile of a layer that flows on a base", _GRAINS, _MOVING),
+    _bed("mixing_index", "–", "Lacey's mixing index at the end", _KINDS, _STEADY, "absolute"),
+    _bed("segregation", "–", "intensity of segregation at the end", _KINDS, _STEADY, "absolute"),
+    _bed("mixing_time", "s", "time until the mixing index has gone 90 % of its way", _KINDS),
+    _bed("support", "–", "vertical force on all walls over the weight of the particles", ("series:walls",)),
+    _bed("wall_share", "–", "share of the weight on walls other than floors", ("series:walls",), difference="absolute"),
+    _bed(
+        "janssen_length",
+        "m",
+        "length D/(4 K μ) of Janssen's law, fitted to the walls' forces",
+        ("series:walls",),
+        _REST,
+    ),
+    _bed("janssen_k_mu", "–", "K μ of Janssen's law", ("series:walls",), _REST),
+    _bed("kinetic_rotation", "J", "kinetic energy of the particles' rotation", ("series:grains",)),
+    _bed("dissipation", "W", "power that contacts and still walls take", ("series:grains", "frames:grains"), _MOVING),
     group="kncal.metrics",
 )
 _ORDER = {name: place for place, name in enumerate(METRICS)}

@@ -19,6 +19,11 @@ def test_input_and_output_are_whole_over_many_looks() -> None:
     assert (done.returncode, done.stdout, done.stderr) == (0, given, b"")
 
 
+def test_input_waits_for_a_program_that_begins_to_read_late() -> None:
+    code = f"import sys, time; time.sleep({3 * LOOK}); print(len(sys.stdin.buffer.read()))"
+    assert run_within(30.0, (sys.executable, "-c", code), input=bytes(1 << 20)).stdout == b"1048576\n"
+
+
 def test_a_program_that_does_not_end_is_killed() -> None:
     begin = time.monotonic()
     with pytest.raises(subprocess.TimeoutExpired) as caught:

@@ -61,6 +61,7 @@ def test_walls_that_follow_janssen_give_his_length_and_the_sum_is_the_weight(len
     found = silo(edges, weight, carried)
     assert found.through == pytest.approx(through, abs=1e-12)
     assert found.length == pytest.approx(length, rel=0.02)
+    assert found.top == pytest.approx(top, rel=1e-6)
     assert found.limit == pytest.approx(per_height * length, rel=0.02)
     assert found.through[0] + carried.sum() == pytest.approx(weight.sum(), rel=1e-12)
 

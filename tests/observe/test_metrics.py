@@ -13,12 +13,14 @@ from kncal.core.errors import InputError
 from kncal.observe import averages
 from kncal.observe.compare import compare
 from kncal.observe.difference import FIELDS
+from kncal.observe.grain_metrics import GRAIN_METRICS
 from kncal.observe.tolerances import parse_tolerances
 from kncal.scene.metrics import COUPLED, DIFFERENCES, FEW_PARTICLES, KINDS_OF_BEDS, METRICS, RECORDS, offered
 
 CODE = """
 from kncal.observe import averages
 from kncal.observe.difference import FIELDS
+from kncal.observe.grain_metrics import GRAIN_METRICS
 from kncal.scene.metrics import Metric
 p_range = Metric(
     "p_range", "Pa", "range of the pressure", ("series:pressure",),
@@ -55,7 +57,7 @@ def test_every_metric_says_what_it_is_and_needs():
         assert metric.difference in DIFFERENCES
     assert not set(offered(FEW_PARTICLES)) & set(offered(COUPLED))
     assert {*offered(FEW_PARTICLES), *offered(COUPLED)} == set(METRICS)
-    assert {*averages._METRICS, *FIELDS} == set(offered(COUPLED)), "each has its function"
+    assert {*averages._METRICS, *GRAIN_METRICS, *FIELDS} == set(offered(COUPLED)), "each has its function"
 
 
 def test_an_added_metric_is_compared_where_what_it_needs_is_recorded(plug_in):
