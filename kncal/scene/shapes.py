@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import singledispatch
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -27,8 +26,9 @@ Bounds = tuple[Array, Array]
 #: From the name of a file that the case names to where it lies.
 PathOf = Callable[[str], Path]
 
-#: How far the flat triangles of a curved wall may be from it, in radii of the smallest particle.
-CHORD = 0.01
+#: How far the flat triangles of a curved wall may be from it, in radii of the smallest particle. Finer triangles are
+#: touched by two at once over much of the wall: within delta/angle of an edge, so it must be above delta/8.
+CHORD = 0.02
 #: A curved wall has at least so many sides, and at most: a finer one costs more than it is worth.
 LEAST_SIDES, MOST_SIDES = 24, 720
 #: Most length over width of a triangle of a curved wall: LIGGGHTS wants angles of more than half a degree, and searches
@@ -81,7 +81,9 @@ def bounds_of(wall: WallKeys, path_of: PathOf) -> Bounds:
     return nodes.min(axis=0), nodes.max(axis=0)
 
 
-def faces(wall: WallKeys, *, path_of: PathOf, extent: Bounds | None = None, radius: float = 0.0) -> Array:
+def faces(
+    wall: WallKeys, *, path_of: PathOf, extent: Bounds | None = None, radius: float = 0.0, open_axes: str = ""
+) -> Array:
     """Return the triangles of a wall at the start, (n, 3, 3): the corners of each [m].
 
     Parameters
@@ -89,6 +91,7 @@ def faces(wall: WallKeys, *, path_of: PathOf, extent: Bounds | None = None, radi
     path_of : where a mesh file lies
     extent : lower and upper corner of the box [m] where infinite walls are cut off
     radius : of the smallest particle [m]: no triangle is further than `CHORD` of it from a curved wall
+    open_axes : on which a box has no sides, as "y"
     """
     low, high = (np.full(3, -np.inf), np.full(3, np.inf)) if extent is None else extent
     if isinstance(wall, MeshWall):
@@ -97,29 +100,19 @@ def faces(wall: WallKeys, *, path_of: PathOf, extent: Bounds | None = None, radi
         along = float(line.axis @ low), float(line.axis @ high)
         cut = [(r, min(max(h, along[0]), along[1])) if math.isinf(h) else (r, h) for r, h in (line.start, line.end)]
         return _turned(line._replace(start=cut[0], end=cut[1]), CHORD * radius)
-    return np.concatenate([_parallelogram(*corner_and_edges) for corner_and_edges in _flat(wall, low, high)])
+    return np.concatenate([_parallelogram(*piece) for piece in _flat(wall, low, high, open_axes)])
 
 
-@singledispatch
-def _flat(wall: WallKeys, low: Array, high: Array) -> list[tuple[Array, Array, Array]]:
+def _flat(wall: WallKeys, low: Array, high: Array, open_axes: str) -> list[tuple[Array, Array, Array]]:
     """The parallelograms of a flat wall: corner, edge, edge."""
-    raise TypeError(type(wall).__name__)
-
-
-@_flat.register
-def _(wall: PlateWall, low: Array, high: Array) -> list[tuple[Array, Array, Array]]:
-    return [(np.array(wall.corner), np.array(wall.edge_1), np.array(wall.edge_2))]
-
-
-@_flat.register
-def _(wall: PlaneWall, low: Array, high: Array) -> list[tuple[Array, Array, Array]]:
-    return [_side(AXES.index(wall.axis), wall.position, low, high)]
-
-
-@_flat.register
-def _(wall: BoxWall, low: Array, high: Array) -> list[tuple[Array, Array, Array]]:
-    low, high = np.array(wall.low), np.array(wall.high)
-    return [_side(axis, end[axis], low, high) for axis in (2, 0, 1) for end in (low, high)]
+    if isinstance(wall, PlateWall):
+        return [(np.array(wall.corner), np.array(wall.edge_1), np.array(wall.edge_2))]
+    if isinstance(wall, PlaneWall):
+        return [_side(AXES.index(wall.axis), wall.position, low, high)]
+    assert isinstance(wall, BoxWall)  # noqa: S101  # all others are curved, or files
+    low, high = (np.where([axis in open_axes for axis in AXES], *ends) for ends in ((low, wall.low), (high, wall.high)))
+    closed = [k for k in (2, 0, 1) if AXES[k] not in open_axes]
+    return [_side(k, end[k], low, high) for k in closed for end in (low, high)]
 
 
 def _side(axis: int, at: float, low: Array, high: Array) -> tuple[Array, Array, Array]:

@@ -76,7 +76,7 @@ def test_a_law_that_liggghts_has_not_is_refused() -> None:
 
 
 def test_a_thin_periodic_column_is_refused() -> None:
-    with pytest.raises(RenderError, match="periodic depth"):
+    with pytest.raises(RenderError, match=r"periodic over 0\.0024 m in y"):
         deck_text(bed_deck(model(scene(box=replace(BOX, size=(0.015, 2.0 * D, 0.06)), periodic=("y",)))))
 
 

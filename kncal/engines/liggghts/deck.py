@@ -8,23 +8,35 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from kncal.core.checks import Array
 from kncal.core.shipped import folder as shipped_folder
 from kncal.core.templating import number, render
 from kncal.engines.liggghts.deck_checks import check_bed, check_model, check_run, check_start
-from kncal.engines.liggghts.deck_tables import STYLES, AtomType, Contacts, atom_types, contact_context, hertz_style
+from kncal.engines.liggghts.deck_description import Deck, Particles, Side
+from kncal.engines.liggghts.deck_flow import DeckOutlet, deck_outlets, deck_streams, primes
+from kncal.engines.liggghts.deck_tables import STYLES, AtomType, atom_types, contact_context, hertz_style
+from kncal.engines.liggghts.deck_walls import (
+    DeckWall,
+    box_of,
+    change_lines,
+    change_times,
+    changed,
+    deck_walls,
+    last_change,
+    mesh_walls_line,
+    mesh_words,
+    move_lines,
+    output_lines,
+)
 from kncal.engines.liggghts.schedule import schedule
 from kncal.record.liggghts_log import END_MARKER
-from kncal.scene.bodies import Vector
 from kncal.scene.model import Plan
 from kncal.scene.placement import Start
-from kncal.scene.scene import Scene
+from kncal.scene.shapes import Bounds, write_stl
+from kncal.scene.walls import PlaneWall
 
 DECK, SCRIPT, DATA, RESTART = "in.liggghts", "Allrun", "particles.data", "particles.restart"
 #: Neighbour skin in diameters: fewer rebuilds than 0.1, fewer pairs than 0.5.
@@ -32,84 +44,10 @@ SKIN = 0.25
 #: Distance in diameters within which an opened contact is forgotten. The gap grows by v dt in a step, and with N steps
 #: per contact and overlap x d, v dt is about pi x d/N: 0.016 d for x = 0.1, N = 20.
 NEAR = 1.05
-#: Up to so many particles each is compared with each, and none are sorted: there is nothing to gain.
-FEW = 20
 #: Bins of space per particle, for neighbour lists and for sorting: LIGGGHTS takes bins of half the cutoff, and visits
 #: all of them each time. In a large column that costs more than the particles do, and ends at its limit of their
 #: number. A settled bed fills some four bins of that size with each particle.
 BINS_PER_PARTICLE = 100.0
-
-Side = tuple[float, float]
-
-
-@dataclass(frozen=True, kw_only=True)
-class DeckWall:
-    """A plane wall: ``kind`` is the index of its atom type, ``axis`` is x, y or z, ``position`` [m]."""
-
-    name: str
-    kind: int
-    axis: str
-    position: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class Particles:
-    """Where particles are at the start: arrays (n, 3) in m, m/s, rad/s, and the index (n,) of each one's atom type.
-
-    ``names`` of a few that the deck itself creates; without names they are read from `DATA`.
-    """
-
-    kinds: NDArray[np.intp]
-    x: Array
-    v: Array
-    spin: Array
-    names: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, kw_only=True)
-class Deck:
-    """What a deck says, whatever kind of scene it is of.
-
-    Attributes
-    ----------
-    scene, kind : names of the scene and of its model
-    style : LIGGGHTS' normal model, one of `STYLES`
-    types : atom types, those of particles first
-    contacts, unmet : by pairs of types (see `contact_context`)
-    tangential : whether contacts have friction and tangential springs
-    walls : the first is the one whose reaction is summed up for kncal
-    box : lower and upper end on each axis [m]; periodic : the axes that are, as "y" or "xy"
-    grows : whether the box grows with the particles, so that none can leave it
-    gravity : vector [m/s²]
-    dt : time step [s]; steps : number of steps, None: by hand as many as asked for, and kncal drives it as a library,
-        with the forces of the gas
-    thermo_every : steps between lines of the log
-    start : Particles; None: from the file `RESTART`
-    count : number of particles; skin : of neighbour lists [m]
-    bin_size : edge of the bins of neighbour lists and sorting [m], 0 for LIGGGHTS' own
-    schedule : when frames are recorded (see `kncal.engines.liggghts.schedule`); None: kncal reads the particles itself
-    """
-
-    scene: str
-    kind: str
-    style: str
-    types: Sequence[AtomType]
-    contacts: Contacts
-    unmet: Contacts = field(default_factory=dict)
-    tangential: bool = True
-    walls: Sequence[DeckWall]
-    box: tuple[Side, Side, Side]
-    periodic: str = ""
-    grows: bool = False
-    gravity: Vector
-    dt: float
-    steps: int | None = None
-    thermo_every: int = 1000
-    start: Particles | None
-    count: int
-    skin: float
-    bin_size: float = 0.0
-    schedule: Mapping[str, object] | None = None
 
 
 def scene_deck(model: Plan, linear_style: str) -> Deck:
@@ -136,7 +74,17 @@ def scene_deck(model: Plan, linear_style: str) -> Deck:
         contacts=model.contacts,
         unmet=model.unmet,
         tangential=needs.uses("tangential"),
-        walls=[DeckWall(name=w.name, kind=index[w.name], axis=w.axis, position=w.position) for w in scene.planes],
+        walls=[
+            DeckWall(
+                name=w.name,
+                kind=index[w.name],
+                fix=f"wall_{i}",
+                axis=w.axis,
+                position=w.position,
+                wall=PlaneWall(axis=w.axis, position=w.position, material="rigid"),
+            )
+            for i, w in enumerate(scene.planes, start=1)
+        ],
         box=(x_side, y_side, z_side),
         grows=True,
         gravity=scene.gravity if needs.uses("gravity") else (0.0, 0.0, 0.0),
@@ -156,44 +104,77 @@ def scene_deck(model: Plan, linear_style: str) -> Deck:
     )
 
 
-def bed_deck(model: Plan, start: Start | None = None) -> Deck:
-    """Describe the deck of a model of a bed, with particles at their ``start``, or from a restart.
+def bed_deck(
+    model: Plan,
+    start: Start | None = None,
+    *,
+    time: float = 0.0,
+    inserted: Sequence[int] = (),
+    by_hand: bool = False,
+) -> Deck:
+    """Describe the deck of a model of many particles, in intervals.
+
+    Parameters
+    ----------
+    model : Plan
+    start : the particles that are there at the start; None: from the file `RESTART`
+    time : of a run that goes on [s]: what happened to walls until then is in force
+    inserted : number of particles that each stream has brought by then
+    by_hand : whether the deck itself runs to the end, with what happens on the way; else kncal drives it
 
     Raises
     ------
     RenderError
         If LIGGGHTS would accept a number but not simulate it.
     """
-    scene, box = model.scene, model.scene.box
+    scene = model.scene
     check_bed(model)
-    d = scene.diameter
-    places = [("floor", "z", 0.0), ("lid", "z", box.height), ("left", "x", 0.0), ("right", "x", box.width)]
-    places += [("front", "y", 0.0), ("back", "y", box.depth)] if scene.front_back == "walls" else []
-    periodic = "y" if scene.front_back == "periodic" else ""
-    x_side, y_side, z_side = (
-        (0.0, size) if axis in periodic else (-d, size + d) for axis, size in zip("xyz", box.size, strict=True)
+    open_axes = "".join(scene.periodic) + (scene.layer or "")
+    walls = deck_walls(
+        scene.walls,
+        model.species.index,
+        extent=scene.extent,
+        open_axes=open_axes,
+        radius=0.5 * scene.d_min,
+        path_of=scene.path_of,
     )
+    periodic = "".join(axis for axis in "xyz" if axis in scene.periodic)
+    box = box_of(scene.extent, walls, periodic, model.n_steps * model.dt, model.coupling)
     return Deck(
         scene=scene.name,
         kind=model.kind,
         style=hertz_style(model.contacts.values()) if model.kind == "hertz" else "hooke/stiffness",
         types=atom_types(model.species),
         contacts=model.contacts,
-        walls=[DeckWall(name=name, kind=1, axis=axis, position=at) for name, axis, at in places],
-        box=(x_side, y_side, z_side),
+        walls=walls,
+        streams=deck_streams(model),
+        outlets=deck_outlets(model, box),
+        gas=scene.run.coupling is not None,
+        box=_sides(box),
         periodic=periodic,
-        gravity=(0.0, 0.0, -scene.g),
+        gravity=scene.gravity,
         dt=model.dt,
+        steps=model.n_steps if by_hand else None,
+        interval=model.steps_per_coupling,
+        time=time,
+        inserted=inserted,
+        frames_every=model.frames_every * model.steps_per_coupling,
         start=None if start is None else Particles(kinds=start.kind, x=start.x, v=start.v, spin=start.spin),
         count=scene.number,
-        skin=SKIN * d,
-        bin_size=_bin_size(scene),
+        skin=SKIN * scene.d_min,
+        d_min=scene.d_min,
+        bin_size=_bin_size(box, scene.d_max, SKIN * scene.d_min, scene.number),
     )
 
 
-def _bin_size(scene: Scene) -> float:
-    own = 0.5 * (1.0 + SKIN) * scene.diameter
-    needed = float((scene.box.volume / (BINS_PER_PARTICLE * max(scene.number, 1))) ** (1.0 / 3.0))
+def _sides(box: Bounds) -> tuple[Side, Side, Side]:
+    (x_low, y_low, z_low), (x_high, y_high, z_high) = box[0].tolist(), box[1].tolist()
+    return (x_low, x_high), (y_low, y_high), (z_low, z_high)
+
+
+def _bin_size(box: Bounds, d: float, skin: float, number: int) -> float:
+    own = 0.5 * (d + skin)
+    needed = float((np.prod(box[1] - box[0]) / (BINS_PER_PARTICLE * max(number, 1))) ** (1.0 / 3.0))
     return needed if needed > own else 0.0
 
 
@@ -214,6 +195,10 @@ def write_deck(deck: Deck, folder: Path, *, ranks: int = 1, oversubscribe: bool 
         texts[DATA] = data_text(deck, deck.start)
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="ascii")
+    surfaces: list[DeckWall | DeckOutlet] = [*deck.walls, *deck.outlets]
+    for surface in surfaces:
+        if surface.triangles is not None:
+            write_stl(surface.triangles, folder / surface.file)
     (folder / SCRIPT).chmod(0o755)
 
 
@@ -242,7 +227,8 @@ def deck_context(deck: Deck) -> dict[str, object]:
         deck.scene, deck.types, deck.contacts, deck.style, unmet=deck.unmet, tangential=deck.tangential
     )
     start = deck.start
-    return contacts | {
+    by_hand = deck.steps is not None and deck.interval > 0
+    context = contacts | {
         "one_line": False,
         "scene": deck.scene,
         "kind": deck.kind,
@@ -250,13 +236,15 @@ def deck_context(deck: Deck) -> dict[str, object]:
         "start": "restart" if start is None else "atoms" if start.names else "data",
         "particles": _created(deck, start) if start is not None and start.names else [],
         "driven": deck.steps is None,
+        "many": deck.interval > 0,
+        "gas": deck.gas,
+        "frozen": [i for i, kind in enumerate(deck.types, start=1) if kind.held],
         "box": [list(side) for side in deck.box],
         "boundary": " ".join("p" if axis in deck.periodic else "m" if deck.grows else "f" for axis in "xyz"),
         "skin": deck.skin,
-        "few": deck.count <= FEW or deck.grows,
+        "few": deck.few,
         "bin": deck.bin_size,
         "near": NEAR,
-        "walls": [{"name": w.name, "type": w.kind + 1, "axis": w.axis, "position": w.position} for w in deck.walls],
         "gravity": {"size": g, "direction": [value / g for value in deck.gravity] if g else []},
         "dt": deck.dt,
         "n_steps": deck.steps,
@@ -264,6 +252,91 @@ def deck_context(deck: Deck) -> dict[str, object]:
         "schedule": deck.schedule,
         "end_marker": END_MARKER,
     }
+    context |= _wall_context(deck, by_hand) | _flow_context(deck)
+    context["mesh_line"] = mesh_walls_line(
+        [wall for wall in deck.walls if wall.there(deck.time, deck.every)],
+        str(context["selectors"]),
+        str(context["switches"]),
+    )
+    return context | (_by_hand(deck, context) if by_hand else {})
+
+
+def _wall_context(deck: Deck, by_hand: bool) -> dict[str, object]:
+    there = [wall for wall in deck.walls if wall.there(deck.time, deck.every)]
+    kept = by_hand or (deck.steps is None and not deck.gas)
+    lines = [
+        line
+        for wall in there
+        if wall.is_mesh
+        for line in move_lines(wall, last_change(wall.wall, deck.time, deck.every), deck.time, deck.every)
+    ]
+    return {
+        "primitives": [
+            {
+                "name": wall.name,
+                "side": wall.side,
+                "fix": wall.fix,
+                "type": wall.kind + 1,
+                "words": wall.primitive,
+                "kept": kept or (deck.has_floor and wall is deck.walls[0] and not by_hand and deck.steps is None),
+            }
+            for wall in there
+            if not wall.is_mesh
+        ],
+        "meshes": [
+            {"name": wall.name, "fix": wall.fix, "words": mesh_words(wall, deck.d_min), "number": len(wall.triangles)}
+            for wall in there
+            if wall.triangles is not None
+        ],
+        "floor": deck.has_floor,
+        "moves": lines,
+    }
+
+
+def _flow_context(deck: Deck) -> dict[str, object]:
+    deletes = [outlet.fix for outlet in deck.outlets if outlet.deletes]
+    outlets = [line for outlet in deck.outlets for line in outlet.lines()]
+    if deletes and not deck.streams:
+        # An empty box has no size of particles, and LIGGGHTS ends at the next set-up.
+        largest = max((t for t in deck.types if t.radius), key=lambda t: t.radius or 0.0)
+        diameter, density = _size(largest)
+        (seed,) = primes((0,), 1)
+        outlets.append(
+            f"fix           size all particletemplate/sphere {seed} atom_type 1 density constant {number(density)} "
+            f"radius constant {number(0.5 * diameter)}"
+        )
+    return {
+        "streams": [
+            line
+            for stream, inserted in zip(deck.streams, deck.inserted or [0] * len(deck.streams), strict=True)
+            for line in stream.lines(round(deck.time / deck.every), inserted, round(deck.time / deck.dt))
+        ],
+        "outlets": outlets,
+        "deletes": bool(deletes),
+        "deleting": deletes,
+        "inserting": [stream.fix for stream in deck.streams],
+        "count": 0 if deck.start is None else len(deck.start.x),
+    }
+
+
+def _by_hand(deck: Deck, context: Mapping[str, object]) -> dict[str, object]:
+    """What a deck that runs to the end by itself records, and what happens on its way."""
+    outputs = [line for wall in deck.walls for line in output_lines(wall, deck.interval)]
+    outputs += [
+        f"fix           out_{outlet.fix} all ave/time {deck.interval} 1 {deck.interval} f_{outlet.fix}[1] "
+        f"f_{outlet.fix}[2] file outlet_{outlet.name}.txt"
+        for outlet in deck.outlets
+    ]
+    assert deck.steps is not None  # noqa: S101  # by hand
+    selectors, switches = str(context["selectors"]), str(context["switches"])
+    times = [time for time in change_times(deck.walls, deck.every) if time < deck.steps * deck.dt * (1.0 - 1e-9)]
+    marks = [round(time / deck.dt) for time in times]
+    lines = [change_lines(deck.walls, time, deck.every, selectors, switches, recorded=True) for time in times]
+    parts = [
+        {"time": time, "lines": own, "steps": end - begin, "walls": changed(deck.walls, time, deck.every)}
+        for time, own, begin, end in zip([0.0, *times], [[], *lines], [0, *marks], [*marks, deck.steps], strict=True)
+    ]
+    return {"outputs": outputs, "frames_every": deck.frames_every, "parts": parts}
 
 
 def _size(kind: AtomType) -> tuple[float, float]:

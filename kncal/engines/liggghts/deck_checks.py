@@ -54,20 +54,23 @@ def check_model(model: Plan) -> None:
 
 
 def check_bed(model: Plan) -> None:
-    """Refuse what LIGGGHTS would run without a word: numbers of the bed, a missing contact, a thin periodic column."""
-    scene, box, d = model.scene, model.scene.box, model.scene.diameter
-    name, gravity = scene.name, scene.g
-    expect(math.isfinite(d) and d > 0.0, name, f"diameter = {d!r} m", "a finite diameter > 0")
-    expect(math.isfinite(gravity) and gravity >= 0.0, name, f"gravity = {gravity!r} m/s²", "a finite value >= 0")
+    """Refuse what LIGGGHTS would run without a word: sizes, gravity, a missing contact, a thin periodic box."""
+    scene, name = model.scene, model.scene.name
+    for d in (scene.d_min, scene.d_max):
+        expect(math.isfinite(d) and d > 0.0, name, f"diameter = {d!r} m", "a finite diameter > 0")
+    expect_vector(name, "gravity", scene.gravity)
     for pair in model.species.pairs():
         one, other = model.species.names(pair)
         expect(pair in model.contacts, name, f"no contact of {one} with {other}", "one contact per pair")
-    if scene.front_back == "periodic":
+    low, high = scene.extent
+    for axis in scene.periodic:
+        length = float((high - low)[AXES.index(axis)])
         expect(
-            box.depth >= LEAST_PERIODIC * d,
+            length >= LEAST_PERIODIC * scene.d_max,
             name,
-            f"periodic depth {box.depth:g} m",
-            f"at least {LEAST_PERIODIC:g} diameters ({LEAST_PERIODIC * d:g} m), so that no two particles touch twice",
+            f"periodic over {length:g} m in {axis}",
+            f"at least {LEAST_PERIODIC:g} diameters ({LEAST_PERIODIC * scene.d_max:g} m), so that no two particles "
+            "touch twice",
         )
 
 

@@ -24,7 +24,8 @@ from kncal.core.errors import InputError, RunError, SolverMissingError
 from kncal.core.process import ProcessResult, signal_name, solver_environment
 from kncal.core.solver_process import PeerLostError, SolverProcess
 from kncal.engines.liggghts.c_library import LIBRARY
-from kncal.engines.liggghts.deck import DECK, RESTART, Deck, bed_deck, write_deck
+from kncal.engines.liggghts.deck import DECK, RESTART, bed_deck, write_deck
+from kncal.engines.liggghts.deck_description import Deck
 from kncal.engines.liggghts.impacts import Surface, speed_edges
 from kncal.engines.liggghts.library_child import SAVED_FORCES, VARIABLE
 from kncal.engines.liggghts.shared import Shared, Sizes, histogram_edges
@@ -285,8 +286,10 @@ def _arguments(model: Plan, deck: Deck, sizes: Sizes) -> dict[str, object]:
         "heights": heights(low, size, up).tolist(),
         "pairs": list(species.pairs()),
         "kinds": len(species.members),
-        "floor": True,
-        "surfaces": [Surface(wall.kind, "xyz".index(wall.axis), wall.position) for wall in deck.walls],
+        "floor": deck.has_floor,
+        "surfaces": [
+            Surface(wall.kind, "xyz".index(wall.axis), wall.position) for wall in deck.walls if not wall.is_mesh
+        ],
         "meshes": [],
         "forces": [],
         "outlets": [],
