@@ -54,8 +54,8 @@ def start_positions(scene: Scene, *, tell: Tell | None = None, progress: Progres
 
     ``tell``, ``progress``: see `packing`.
     """
-    if scene.number == 0:
-        return Start.at(np.zeros((0, 3)))
+    if scene.number == 0 or not scene.settles:
+        return start_of(scene)
     log = logging.getLogger("kncal")
     log.info("packing %d particles", scene.number)
     try:
@@ -211,7 +211,7 @@ class _Said:
         self._tell, self._progress = tell, progress
         tell(
             f"packing: {scene.number} particles settle in LIGGGHTS before the run, about {steps:.2g} steps of "
-            f'{dt:.3g} s; the packing is kept for other runs of this bed (without: place = "lattice")'
+            f'{dt:.3g} s; the packing is kept for other runs of this scene (without: place = "lattice")'
         )
         self._began: float | None = None
 
