@@ -68,15 +68,14 @@ def render(
     with show.run_bars({}) as progress_for:
         models = render_case(scene, solver, folder, kinds(model), progress_for=progress_for, tell=show.note)
     for kind, m in models.items():
-        what = "gas and particles exchange data" if m.scene.gas is not None else "a look"
-        every = f", {what} every {show.quantity(m.coupling, 's')}" if m.couplings else ""
+        gas = f", gas and particles exchange data every {show.quantity(m.coupling, 's')}" if m.couplings else ""
         show.say(
             f"{folder / kind}: {m.n_steps} steps of {show.quantity(m.dt, 's')} to t = "
-            f"{show.quantity(m.t_end, 's')}{every}"
+            f"{show.quantity(m.t_end, 's')}{gas}"
         )
     for text in warnings_of(models):
         show.say(f"  warning: {text}")
-    if scene.gas is not None and (folder / next(iter(models)) / README).is_file():
+    if (folder / next(iter(models)) / README).is_file():
         show.say(f"Gas and particles each run by hand, alone (see {README}). Both together need kncal run.")
 
 

@@ -2,8 +2,9 @@
 
 Random sequential addition, large spheres first: each place is tried at random and kept if nothing is there, up to about
 0.3 of the volume. Where more are asked for, the rest is put at random anyway, and all that overlap are pushed apart
-along their centre lines, again and again, until none do (about 0.5 between walls, 0.6 in a periodic box). Both take
-their numbers from the seed alone. LIGGGHTS' own insertion is not used: it inserts fewer than asked with a warning only.
+along their centre lines, again and again, until none do (about 0.5 between walls, 0.6 in a periodic box). What is to be
+denser than that is ``pressed``: the same, until the overlaps that remain are spread evenly. All take their numbers from
+the seed alone. LIGGGHTS' own insertion is not used: it inserts fewer than asked with a warning only.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 
 #: Share of the volume beyond which nothing is tried (randomly packed spheres jam at 0.64), and that usually works.
 DENSEST, USUAL = 0.62, 0.5
+#: Spheres that are pressed into one another fill no more than this.
+PRESSED = 0.72
 #: Places tried at once, and the share of them that must be free for random addition to go on.
 _BATCH, _LEAST_FREE = 100_000, 2e-2
 #: Rounds of pushing apart; the gap that is aimed at, over the radius; how far a push goes.
@@ -54,8 +57,9 @@ def fill(
     free: Free | None = None,
     periods: Mapping[int, tuple[float, float]] | None = None,
     taken: tuple[Array, Array] | None = None,
+    pressed: bool = False,
 ) -> Array:
-    """Return centres (n, 3) [m] of spheres inside a region, none of which overlap.
+    """Return centres (n, 3) [m] of spheres inside a region, none of which overlap (but see ``pressed``).
 
     Parameters
     ----------
@@ -65,6 +69,7 @@ def fill(
     free : whether spheres at points (m, 3) with radii (m,) touch no wall
     periods : axis -> lower and upper end of the domain where it is periodic [m]
     taken : centres (k, 3) and radii (k,) of spheres that are there already [m]
+    pressed : whether spheres that do not fit may overlap: as little, and as evenly, as pushing them apart reaches
 
     Raises
     ------
@@ -76,8 +81,10 @@ def fill(
     radii = np.asarray(radii, dtype=np.float64)
     held_x, held_r = taken if taken is not None else (np.empty((0, 3)), np.empty(0))
     available = room.volume(rng)
-    if (share := 4.0 / 3.0 * np.pi * float(np.sum(radii**3)) / max(available, 1e-300)) > DENSEST:
-        raise _do_not_fit(radii, int(DENSEST / share * radii.size), available)
+    if (share := 4.0 / 3.0 * np.pi * float(np.sum(radii**3)) / max(available, 1e-300)) > (
+        most := PRESSED if pressed else DENSEST
+    ):
+        raise _do_not_fit(radii, int(most / share * radii.size), available)
     x = np.full((radii.size, 3), np.nan)
     there = [(held_x[held_r == r], r) for r in np.unique(held_r)]
     for r in np.unique(radii)[::-1]:
@@ -88,7 +95,7 @@ def fill(
     missing = np.flatnonzero(np.isnan(x[:, 0]))
     if missing.size:
         x = _anywhere(room, rng, x, radii, missing)
-        if bad := room.push_apart(rng, x, radii, held_x, held_r):
+        if (bad := room.push_apart(rng, x, radii, held_x, held_r)) and not pressed:
             raise _do_not_fit(
                 radii, max(radii.size - bad, min(radii.size - 1, int(USUAL / share * radii.size))), available
             )
@@ -207,8 +214,7 @@ class _Room:
         for _ in range(_ROUNDS):
             i, j, along, gap = self._overlaps(all_x, all_r)
             if not np.any(gap < 0.0):
-                x[:] = all_x[:n]
-                return 0
+                break
             step = (_GAP * (all_r[i] + all_r[j]) - gap)[:, None] * along
             step *= np.where(moving[i] & moving[j], 0.5, 1.0)[:, None]
             push = np.stack([np.bincount(i, s, len(all_x)) - np.bincount(j, s, len(all_x)) for s in step.T], axis=1)
@@ -217,6 +223,7 @@ class _Room:
             to = all_x[rows] + _PUSH * push[rows] / np.maximum(1.0, 0.4 * touching[rows, None])
             self._move(rng, all_x, rows, to, all_r)
         i, j, _, gap = self._overlaps(all_x, all_r)
+        x[:] = np.where(self._length > 0.0, self._begin + self.wrapped(all_x[:n]), all_x[:n])
         return _in_the_way(i[gap < 0.0], j[gap < 0.0])
 
     def _move(self, rng: np.random.Generator, x: Array, rows: NDArray[np.intp], to: Array, radii: Array) -> None:

@@ -58,8 +58,12 @@ def _by_place(scene: Scene, path: Path, group: Particles) -> Iterator[Problem]:
             yield (*path, key), f'given together with place = "{group.place}": expected "{place}"'
     if group.place == "stream" and group.rate is None:
         yield (*path, "rate"), "missing: expected the mass per time of the stream [kg/s]"
-    if group.place == "settled" and not scene.g:
-        yield ("gravity",), 'gravity: 0: nothing settles: expected gravity, or place = "lattice" or "given"'
+    if group.place == "settled" and not (scene.g or scene.presses):
+        yield (
+            ("gravity",),
+            'gravity: 0: nothing settles: expected gravity, place = "lattice" or "given", or all three axes periodic, '
+            "where particles are pressed together",
+        )
 
 
 def _placed(scene: Scene, path: Path, group: Particles) -> Iterator[Problem]:

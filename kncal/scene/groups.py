@@ -126,8 +126,8 @@ class Particles:
     place: Annotated[str, Field(strict=True)] = Field(
         default="given",
         description='where they start: "given" (position, positions, file), "lattice" (a loose lattice from the floor '
-        'up, in the region), "settled" (LIGGGHTS settles that under gravity) or "stream" (LIGGGHTS inserts them in the '
-        "region during the run)",
+        'up; at random in the region), "settled" (LIGGGHTS settles that under gravity; without gravity, periodic in '
+        'every axis, they are pressed together) or "stream" (LIGGGHTS inserts them in the region during the run)',
     )
     position: Position | None = Field(default=None, description="[x, y, z] of the centre of a single particle [m]")
     positions: Annotated[tuple[Position, ...], Field(max_length=MOST_PARTICLES)] = Field(

@@ -321,6 +321,11 @@ class Scene:
         return any(group.place == "settled" and group.count != 0 for group in self.particles.values())
 
     @property
+    def presses(self) -> bool:
+        """Whether what settles is pressed together: without gravity, in a box that is periodic in every axis."""
+        return self.settles and not self.g and len(set(self.periodic)) == len(AXES)
+
+    @property
     def group(self) -> Particles:
         """The one group of particles of a coupled scene; `InputError` if there are several."""
         return _only(self.name, "group of particles", list(self.particles.values()))

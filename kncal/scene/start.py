@@ -84,7 +84,8 @@ def _group(scene: Scene, name: str, there: Start) -> Iterator[Start]:
         region = group.region or BoxRegion(low=scene.box.low, high=scene.box.high)
         periods = {axis: (scene.extent[0][axis], scene.extent[1][axis]) for axis in map(AXES.index, scene.periodic)}
         taken = (there.x, radii[there.kind])
-        x = fill(region, radii[kind], group.seed, free=_free(scene), periods=periods, taken=taken)
+        pressed = scene.presses and group.place == "settled"
+        x = fill(region, radii[kind], group.seed, free=_free(scene), periods=periods, taken=taken, pressed=pressed)
     each = np.ones((len(x), 1))
     yield Start(x=x, v=each * np.array(group.velocity), spin=each * np.array(group.spin), kind=kind)
 

@@ -20,9 +20,11 @@ from kncal.core.errors import InputError, RunError
 from kncal.engines import settle as packing_module
 from kncal.engines.liggghts.library import LiggghtsDem
 from kncal.engines.settle import packing
+from kncal.scene.case_file import parse_case
 from kncal.scene.contact import ContactChoice
 from kncal.scene.groups import AT_REST
 from kncal.scene.placement import PLACEMENTS, Start, lattice
+from kncal.scene.plan import plan
 
 solver = pytest.mark.solver
 #: What bounds a box in y, as fields of a scene.
@@ -198,3 +200,51 @@ def test_perfectly_elastic_spheres_do_not_settle() -> None:
     bed = scene(20, contact=ContactChoice(e_n=1.0))
     with pytest.raises(RunError, match="did not settle"):
         packing(model(bed))
+
+
+PRESSED = """
+periodic = ["x", "y", "z"]
+[materials.glass]
+young = 5e7
+poisson = 0.3
+density = 2500
+[particles.beads]
+material = "glass"
+diameter = 4e-3
+fill = {fill}
+place = "settled"
+region = {{low = [0.0, 0.0, 0.0], high = [0.024, 0.024, 0.024]}}
+[domain]
+low = [0.0, 0.0, 0.0]
+high = [0.024, 0.024, 0.024]
+[contact]
+e_n = 0.5
+v_0 = 0.1
+[run]
+until_time = 0.01
+sample_every = 1e-3
+"""
+
+
+@solver
+@pytest.mark.parametrize("fill", [0.58, 0.68])
+def test_spheres_that_are_pressed_together_carry_each_other_above_the_jamming_density(fill: float) -> None:
+    """Frictionless spheres jam at 0.64 (O'Hern et al. 2003, 0.639 for many): below it nothing touches, above it all but
+    the rattlers are in balance by at least six contacts (isostatic: three coordinates each, one contact for two)."""
+    jammed = plan(parse_case(PRESSED.format(fill=fill), name="pressed"), ("linear",))["linear"]
+    start = packing(jammed)
+    side, d = 0.024, 4e-3
+    pairs = cKDTree(start.x, boxsize=side).query_pairs(d, output_type="ndarray")
+    way = start.x[pairs[:, 0]] - start.x[pairs[:, 1]]
+    way -= side * np.round(way / side)
+    distance = np.linalg.norm(way, axis=1)
+    push = ((d - distance) / distance)[:, None] * way
+    number = np.bincount(pairs.ravel(), minlength=len(start.x))
+    if fill < 0.6:
+        assert np.sum(d - distance) < 1e-4 * d
+        return
+    force = np.zeros_like(start.x)
+    np.add.at(force, pairs[:, 0], push)
+    np.add.at(force, pairs[:, 1], -push)
+    assert np.linalg.norm(force, axis=1).max() < 0.02 * (d - distance).mean()
+    assert 6.0 <= number[number > 3].mean() < 8.0
