@@ -11,7 +11,7 @@ import numpy as np
 
 from kncal.core.checks import Array
 from kncal.engines.liggghts.deck import DECK, bed_deck, deck_text, write_deck
-from kncal.scene.case_file import parse_case
+from kncal.scene.case_file import load_case, parse_case
 from kncal.scene.model import Plan
 from kncal.scene.placement import Start
 from kncal.scene.plan import plan
@@ -43,15 +43,30 @@ diameter = 0.005
 """
 
 
-def plan_of(text: str, kind: str = "linear", *, gravity: float = G, until: float = 0.3, **run: float) -> Plan:
-    """Return the plan of a scene: ``text`` is added to `HEAD`, with these values in it (sample, frames: every [s])."""
+def plan_of(
+    text: str,
+    kind: str = "linear",
+    *,
+    gravity: float = G,
+    until: float = 0.3,
+    periodic: str = "",
+    home: Path | None = None,
+    **run: float,
+) -> Plan:
+    """Return the plan of a scene: ``text`` is added to `HEAD`, with these values in it (sample, frames: every [s]).
+
+    ``periodic``: that line of the case; ``home``: where the files lie that it names.
+    """
     given = {"until": until} | run
     keys = {"until": "until_time", "sample": "sample_every", "frames": "frames_every"}
-    head = HEAD.replace("-9.81", repr(-gravity))
+    head = periodic + HEAD.replace("-9.81", repr(-gravity))
     for key, value in given.items():
         name = keys.get(key, key)
         head = re.sub(rf"\b{name} = \S+", f"{name} = {value!r}", head)
-    return plan(parse_case(head + text, name="granular"))[kind]
+    if home is None:
+        return plan(parse_case(head + text, name="granular"))[kind]
+    (home / "case.toml").write_text(head + text)
+    return plan(load_case(home, name="granular"))[kind]
 
 
 def placed(*positions: Sequence[float]) -> str:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kncal.scene import box_limits, contact_limits, gas_limits, granular_limits
+from kncal.scene import box_limits, contact_limits, gas_limits, granular_limits, wall_limits
 from kncal.scene.finding import Finding
 from kncal.scene.load import EPS_SETTLED, settled_voidage
 from kncal.scene.model import Plan
@@ -71,6 +71,7 @@ LIMITS = (
     Limit(_many, lambda p, _: contact_limits.bottom_of_bed(p)),
     Limit(_granular, lambda p, _: granular_limits.impacts(p)),
     Limit(_granular, lambda p, _: granular_limits.streams(p.scene)),
+    Limit(_granular, lambda p, _: wall_limits.walls(p)),
     Limit(_gas, lambda p, _: box_limits.jet_faces(p.scene, p.scene.gas)),
     Limit(_gas, lambda p, _: box_limits.small_cells(p.scene, p.scene.gas)),
     Limit(_gas, lambda p, eps: gas_limits.courant(p, p.scene.gas, eps)),

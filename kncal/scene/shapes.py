@@ -36,6 +36,10 @@ LEAST_SIDES, MOST_SIDES = 24, 720
 ASPECT = 8.0
 
 
+#: Where endless walls end if nobody says where [m].
+_FAR = 1e5
+
+
 class _Revolved(NamedTuple):
     """The line from (r, h) = ``start`` to ``end`` [m], turned about ``axis`` (3,) through ``origin`` (3,) [m]."""
 
@@ -81,6 +85,17 @@ def bounds_of(wall: WallKeys, path_of: PathOf) -> Bounds:
     return nodes.min(axis=0), nodes.max(axis=0)
 
 
+def is_endless(wall: WallKeys, extent: Bounds) -> bool:
+    """Whether a wall that stays has no end inside the box: a plane, a box, a long cylinder; a solver needs no mesh."""
+    if wall.motion or any(wall.surface_velocity):
+        return False
+    if isinstance(wall, CylinderWall):
+        k = AXES.index(wall.axis)
+        low, high = extent[0][k], extent[1][k]
+        return (wall.low is None or wall.low <= low) and (wall.high is None or wall.high >= high)
+    return isinstance(wall, PlaneWall | BoxWall)
+
+
 def faces(
     wall: WallKeys, *, path_of: PathOf, extent: Bounds | None = None, radius: float = 0.0, open_axes: str = ""
 ) -> Array:
@@ -93,7 +108,7 @@ def faces(
     radius : of the smallest particle [m]: no triangle is further than `CHORD` of it from a curved wall
     open_axes : on which a box has no sides, as "y"
     """
-    low, high = (np.full(3, -np.inf), np.full(3, np.inf)) if extent is None else extent
+    low, high = (np.full(3, -_FAR), np.full(3, _FAR)) if extent is None else extent
     if isinstance(wall, MeshWall):
         return placed_mesh(wall, path_of)
     if (line := revolved(wall)) is not None:

@@ -158,8 +158,11 @@ def swept(wall: WallKeys, nodes: Array, end: float, interval: float = 0.0) -> tu
     placed = [pose(wall.motion, time, interval).placed(corners) for time in _looks(wall.motion, end, interval)]
     low = np.min([p.min(axis=0) for p in placed], axis=0)
     high = np.max([p.max(axis=0) for p in placed], axis=0)
-    more = np.where(low < corners.min(axis=0), _MISSED, 0.0), np.where(high > corners.max(axis=0), _MISSED, 0.0)
-    return low - more[0] * (high - low), high + more[1] * (high - low)
+    first, last = corners.min(axis=0), corners.max(axis=0)
+    rounding = 1e-9 * float(np.abs(corners).max(initial=0.0))
+    low = np.where(low < first - rounding, low - _MISSED * (high - low), first)
+    high = np.where(high > last + rounding, high + _MISSED * (high - low), last)
+    return low, high
 
 
 def _corners(nodes: Array, motions: Sequence[AnyMotion]) -> Array:

@@ -36,11 +36,10 @@ from kncal.record.liggghts_log import END_MARKER
 from kncal.scene.model import Plan
 from kncal.scene.placement import Start
 from kncal.scene.shapes import Bounds, write_stl
+from kncal.scene.wall_limits import SKIN
 from kncal.scene.walls import PlaneWall
 
 DECK, SCRIPT, DATA, RESTART = "in.liggghts", "Allrun", "particles.data", "particles.restart"
-#: Neighbour skin in diameters: fewer rebuilds than 0.1, fewer pairs than 0.5.
-SKIN = 0.25
 #: Distance in diameters within which an opened contact is forgotten. The gap grows by v dt in a step, and with N steps
 #: per contact and overlap x d, v dt is about pi x d/N: 0.016 d for x = 0.1, N = 20.
 NEAR = 1.05
@@ -362,7 +361,7 @@ def data_text(deck: Deck, start: Particles) -> str:
     lines += [f"{len(start.x)} atoms", f"{len(deck.types)} atom types", ""]
     lines += [f"{number(low)} {number(high)} {a}lo {a}hi" for a, (low, high) in zip("xyz", deck.box, strict=True)]
     words = [" ".join(map(number, _size(kind))) for kind in deck.types if not kind.is_wall]
-    lines += ["", "Atoms", ""]
+    lines += ["", "Atoms", ""] if len(start.x) else []
     lines += [
         f"{i} {kind + 1} {words[kind]} {x:.17g} {y:.17g} {z:.17g}"
         for i, (kind, (x, y, z)) in enumerate(zip(start.kinds.tolist(), start.x.tolist(), strict=True), 1)

@@ -18,12 +18,10 @@ import numpy as np
 from kncal.core.checks import Array
 from kncal.core.templating import checked_name, number
 from kncal.scene.bodies import AXES, Vector
-from kncal.scene.shapes import Bounds, PathOf, faces
+from kncal.scene.shapes import Bounds, PathOf, faces, is_endless
+from kncal.scene.wall_limits import PRECISION
 from kncal.scene.wall_motion import at_work, in_order, pose, swept, when
 from kncal.scene.walls import BoxWall, CylinderWall, Oscillation, PlaneWall, Rotation, Translation, WallKeys
-
-#: Nodes of a mesh nearer than so many diameters of the smallest particle are one for LIGGGHTS.
-PRECISION = 1e-5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,25 +112,22 @@ def _primitives(
     name: str, wall: WallKeys, kind: int, before: int, extent: Bounds, open_axes: str
 ) -> Iterator[DeckWall]:
     """The primitives of a wall; none if it must be a mesh."""
-    if wall.motion or any(wall.surface_velocity):
+    if not is_endless(wall, extent):
         return
     if isinstance(wall, PlaneWall):
         yield DeckWall(
             name=name, kind=kind, fix=f"wall_{before + 1}", axis=wall.axis, position=wall.position, wall=wall
         )
     if isinstance(wall, CylinderWall):
-        k = AXES.index(wall.axis)
-        low, high = extent[0][k], extent[1][k]
-        if (wall.low is None or wall.low <= low) and (wall.high is None or wall.high >= high):
-            yield DeckWall(
-                name=name,
-                kind=kind,
-                fix=f"wall_{before + 1}",
-                axis=wall.axis,
-                centre=wall.centre,
-                radius=wall.radius,
-                wall=wall,
-            )
+        yield DeckWall(
+            name=name,
+            kind=kind,
+            fix=f"wall_{before + 1}",
+            axis=wall.axis,
+            centre=wall.centre,
+            radius=wall.radius,
+            wall=wall,
+        )
     if isinstance(wall, BoxWall):
         sides = [(axis, side, end) for axis in "zxy" for side, end in enumerate((wall.low, wall.high))]
         kept = [(axis, side, end[AXES.index(axis)]) for axis, side, end in sides if axis not in open_axes]
