@@ -190,7 +190,7 @@ def write_deck(deck: Deck, folder: Path, *, ranks: int = 1, oversubscribe: bool 
     context = deck_context(deck) | {"ranks": ranks, "oversubscribe": oversubscribe, "default_steps": steps}
     templates = shipped_folder("templates") / "liggghts"
     texts = {name: render(templates, f"{name}.j2", context) for name in (DECK, SCRIPT)}
-    if deck.start is not None and not deck.start.names:
+    if deck.start is not None and not deck.start.names and len(deck.start.x):
         texts[DATA] = data_text(deck, deck.start)
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="ascii")
@@ -232,7 +232,7 @@ def deck_context(deck: Deck) -> dict[str, object]:
         "scene": deck.scene,
         "kind": deck.kind,
         "names": {"data": DATA, "restart": RESTART},
-        "start": "restart" if start is None else "atoms" if start.names else "data",
+        "start": "restart" if start is None else "atoms" if start.names else "data" if len(start.x) else "nothing",
         "particles": _created(deck, start) if start is not None and start.names else [],
         "driven": deck.steps is None,
         "many": deck.interval > 0,
