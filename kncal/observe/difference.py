@@ -39,7 +39,7 @@ def rows_between(
     if run.frames is not None and reference.frames is not None:
         whole = {row.metric: row for row in path_difference(run.frames, reference.frames)}
     if run.signals is not None and reference.signals is not None:
-        whole |= {name: field_row(name, run, reference) for name in FIELDS if not reference.why_not(name)}
+        whole |= {name: field_row(name, run, reference) for name in FIELDS if reference.measures(name)}
     rows = (
         whole[name] if name in whole else value_row(name, run, reference, names)
         for name in metric_names(run, reference, (*tolerances, *whole))

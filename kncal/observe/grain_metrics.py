@@ -14,6 +14,35 @@ from kncal.observe.mixing import mixing_time
 from kncal.observe.signals import rows_from
 from kncal.physics.statistics import MIN_SAMPLES, average, average_of_samples
 
+#: A mixing index that rises by less is no mixing.
+_MIXES = 0.1
+#: Metric of a packing at rest -> that whose parts tell how far another packing might be.
+_LIKE = {
+    "z_mean": "packing_fraction",
+    "z_95": "packing_fraction",
+    "contacts": "coordination",
+    "overlap_mean": "coordination",
+    "overlap_max": "coordination",
+    "overlap_share": "coordination",
+    "floor_share": "janssen_length",
+    "wall_share": "janssen_length",
+}
+
+
+def one_packing(name: str, found: Estimate, estimates: Mapping[str, Estimate]) -> Estimate:
+    """Return an average over time of particles at rest with the width that another packing might differ by.
+
+    That time changes nothing says nothing of chance: the relative width is that of a metric whose parts differ, and
+    the whole value where there is none. It is not reliable.
+    """
+    if name not in _LIKE or found.value is None:
+        return found
+    like = estimates.get(_LIKE[name], missing(""))
+    share = like.width / abs(like.value) if like.value and like.width is not None else 1.0
+    why = "one packing at rest: how far another would differ is estimated from parts of it"
+    width = max(found.width or 0.0, share * abs(found.value))
+    return replace(found, width=width, reliable=False, why=why, average=None)
+
 
 def grain_estimate(seen: GrainObservations, name: str) -> Estimate:
     """Return a metric of the table; one without a value, and why, if the run does not have it."""
@@ -105,7 +134,10 @@ def _dissipation(seen: GrainObservations) -> Estimate:
 
 def _angle(seen: GrainObservations) -> Estimate:
     """The angle of the surface; what the choice of the flank moves adds to its width."""
-    found = seen.state(np.array([fit.angle for fit in seen.fits]), seen.angles)
+    values = np.array([fit.angle for fit in seen.fits])
+    found = seen.state(values, seen.angles)
+    if seen.resting and (found.width is None or not found.reliable):  # too few parts: as rough as the surface is
+        found = Estimate(value=float(values[-1]), width=seen.fits[-1].error, chance=True)
     return _wider(found, float(np.mean([fit.choice for fit in seen.fits])))
 
 
@@ -135,7 +167,10 @@ def _rattlers(seen: GrainObservations) -> Estimate:
 
 
 def _anisotropy(seen: GrainObservations) -> Estimate:
-    return seen.state(np.array([one.anisotropy for one in seen.packings]), lambda _: seen.packings[-1].each[:, 2])
+    """At rest it is known to what chance gives of so many contacts."""
+    if not seen.resting:
+        return seen.over_frames(np.array([one.anisotropy for one in seen.packings]))
+    return Estimate(value=seen.packings[-1].anisotropy, width=2.0 * seen.packings[-1].chance, chance=True)
 
 
 # --- mixing -------------------------------------------------------------------------------------------------------
@@ -163,6 +198,8 @@ def _mixing_time(seen: GrainObservations) -> Estimate:
     curve, last = seen.mixing, _mixing_index(seen)
     if last.value is None or last.width is None:
         raise InputError("no final value of the mixing index")
+    if last.value - float(curve.lacey[0]) < max(_MIXES, 4.0 * float(curve.error[0])):
+        raise InputError("the mixing index hardly rises: nothing mixes")
     value = mixing_time(curve.t, curve.lacey, last.value)
     ends = []
     for end in (last.value - last.width, last.value + last.width):

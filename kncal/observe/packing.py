@@ -62,8 +62,8 @@ class Packed:
     coordination : mean number of contacts of a particle that is no rattler
     precision : how much of it hangs on whether pairs at the limit of the positions' precision touch
     rattlers : share of particles that carry nothing
-    anisotropy : see `anisotropy`
-    each : (p, 3) the same three numbers of eight parts of the bulk
+    anisotropy, chance : see `anisotropy`
+    each : (p, 2) coordination and rattlers of eight parts of the bulk
     """
 
     bulk: Bulk
@@ -71,6 +71,7 @@ class Packed:
     precision: float
     rattlers: float
     anisotropy: float
+    chance: float
     each: Array
 
 
@@ -94,12 +95,12 @@ def packed(grains: Grains, space: Space, width: float, resolution: float, least:
     rows = np.flatnonzero(inside.grains)
     sure = number - np.bincount(found.pairs[np.abs(found.overlap) <= resolution].ravel(), minlength=len(number))
 
-    def numbers(part: NDArray[np.int64]) -> tuple[float, float, float]:
+    def numbers(part: NDArray[np.int64]) -> tuple[float, float, tuple[float, float]]:
         those = part[carry[part]]
         among = np.zeros(len(carry), dtype=bool)
         among[those] = True
         touching = among[found.pairs].any(axis=1)
-        turned = anisotropy(found.normal[touching]) if touching.any() else 0.0
+        turned = anisotropy(found.normal[touching]) if touching.any() else (0.0, np.inf)
         return float(number[those].mean()) if len(those) else 0.0, 1.0 - len(those) / max(len(part), 1), turned
 
     mean, rattlers, turned = numbers(rows)
@@ -110,8 +111,9 @@ def packed(grains: Grains, space: Space, width: float, resolution: float, least:
         coordination=mean,
         precision=lost,
         rattlers=rattlers,
-        anisotropy=turned,
-        each=np.array([numbers(rows[cell == k]) for k in range(int(cell.max()) + 1)]),
+        anisotropy=turned[0],
+        chance=turned[1],
+        each=np.array([numbers(rows[cell == k])[:2] for k in range(int(cell.max()) + 1)]),
     )
 
 
@@ -233,13 +235,14 @@ def fabric(normal: Array) -> Array:
     return normal.T @ normal / len(normal)
 
 
-def anisotropy(normal: Array) -> float:
-    """Return sqrt(3/2 a:a) with a = 15/2 (F - I/3) of the fabric tensor F, less what isotropic chance adds.
+def anisotropy(normal: Array) -> tuple[float, float]:
+    """Return sqrt(3/2 a:a) with a = 15/2 (F - I/3) of the fabric tensor F, and what chance alone gives of so many.
 
-    0 for an isotropic fabric in the mean; a is that of Bathurst & Rothenburg (Mech. Mater. 9 (1990) 65) for a
-    distribution of normals (1 + n a n)/4 pi.
+    The second is taken off in the mean square, so that the first is 0 for an isotropic fabric. a is that of Bathurst &
+    Rothenburg (Mech. Mater. 9 (1990) 65) for a distribution of normals (1 + n a n)/4 pi.
     """
     tensor = fabric(normal)
     square = float((tensor**2).sum())
-    excess = square - 1.0 / 3.0 - (1.0 - square) / max(len(normal) - 1, 1)
-    return float(7.5 * np.sqrt(1.5 * max(excess, 0.0)))
+    chance = (1.0 - square) / max(len(normal) - 1, 1)
+    excess = max(square - 1.0 / 3.0 - chance, 0.0)
+    return float(7.5 * np.sqrt(1.5 * excess)), float(7.5 * np.sqrt(1.5 * chance))

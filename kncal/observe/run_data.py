@@ -15,7 +15,7 @@ from kncal.observe.averages import BedObservations, observe_bed
 from kncal.observe.contacts import Observations
 from kncal.observe.cost import Cost, cost
 from kncal.observe.estimate import Estimate, missing
-from kncal.observe.grain_metrics import GRAIN_METRICS, grain_estimate
+from kncal.observe.grain_metrics import GRAIN_METRICS, grain_estimate, one_packing
 from kncal.observe.granular import GrainObservations
 from kncal.record.frames import Trajectory
 from kncal.record.outcome import RunResult
@@ -147,9 +147,15 @@ class RunData:
         if self.signals is not None:
             found |= {name: one for name, one in self.seen.estimates.items() if self._recorded_for(name)}
         if (grains := self.grains) is not None:
-            names = [name for name in GRAIN_METRICS if self._recorded_for(name) and not self.why_not(name)]
+            names = [name for name in GRAIN_METRICS if self.measures(name)]
             found |= {name: grain_estimate(grains, name) for name in names}
+            if grains.resting:
+                found |= {name: one_packing(name, one, found) for name, one in found.items()}
         return found | added(self)
+
+    def measures(self, name: str) -> bool:
+        """Whether such a run has a metric: it means something for it, and what it needs was recorded."""
+        return self._recorded_for(name) and not self.why_not(name)
 
     def _recorded_for(self, name: str) -> bool:
         return set(METRICS[name].needs) <= set(self.recorded)

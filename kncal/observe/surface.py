@@ -35,6 +35,7 @@ class SurfaceFit:
     Attributes
     ----------
     angle : to the horizontal, positive [degrees]
+    error : 95 % half-width by the roughness of the surface alone [degrees]
     choice : how far it moves if less of the flank is fitted [degrees]
     s, h : (columns,) distance across, or from the cone's line, and height of the surface [m]
     fitted : (columns,) which were fitted
@@ -43,6 +44,7 @@ class SurfaceFit:
     """
 
     angle: float
+    error: float
     choice: float
     s: Array
     h: Array
@@ -231,6 +233,7 @@ def _fitted(s: Array, h: Array, width: float, across: tuple[float, float, float]
     angles = [float(np.degrees(np.arctan(abs(line[0])))) for line in lines]
     return SurfaceFit(
         angle=angles[0],
+        error=_roughness(s[mask], h[mask], slope, offset, width),
         choice=abs(angles[1] - angles[0]),
         s=s,
         h=h,
@@ -239,6 +242,20 @@ def _fitted(s: Array, h: Array, width: float, across: tuple[float, float, float]
         offset=offset,
         across=across,
     )
+
+
+def _roughness(s: Array, h: Array, slope: float, offset: float, width: float) -> float:
+    """Return the 95 % half-width [degrees] of the angle of a line through a rough surface.
+
+    Columns nearer than the kernel's correlation length 2 sqrt(pi) w are one sample; the slope of n samples over a
+    length L has the standard error sigma sqrt(12/n)/L.
+    """
+    from scipy.stats import t as student
+
+    length = float(np.ptp(s))
+    samples = max(length / (2.0 * np.sqrt(np.pi) * width), 3.0)
+    error = float((h - offset - slope * s).std()) * np.sqrt(12.0 / samples) / length
+    return float(np.degrees(error / (1.0 + slope**2)) * student.ppf(0.975, samples - 1.0))
 
 
 def _flank(s: Array, h: Array, width: float, share: float) -> NDArray[np.bool_]:

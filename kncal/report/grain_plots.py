@@ -96,6 +96,8 @@ def profiles(runs: GrainRuns) -> Axes:
         bare(ax)
         ax.set_xlabel(label)
     axes[0].set_ylabel(f"{'xyz'[first.axis]} [{unit}]")
+    filled = np.concatenate([one.at[one.fraction > 1e-3 * one.fraction.max()] for one in found.values()])
+    axes[0].set_ylim(factor * filled.min(), factor * filled.max())
     shared_legend(axes, 2)
     return axes[0]
 

@@ -130,15 +130,22 @@ def _walls(plotter: Any, triangles: Array) -> None:
 
 def _look(plotter: Any, arrays: Mapping[str, Any], k: int) -> None:
     up, along = arrays["up"], arrays["along"]
-    x = np.concatenate([arrays[f"x{k}"], arrays[f"walls{k}"].reshape(-1, 3)])
-    middle, reach = 0.5 * (x.min(axis=0) + x.max(axis=0)), float(np.linalg.norm(np.ptp(x, axis=0)))
+    x, walls = arrays[f"x{k}"], arrays[f"walls{k}"].reshape(-1, 3)
+    low, high = x.min(axis=0), x.max(axis=0)
+    if len(walls):  # as much of them as is near the particles
+        room = 0.4 * (high - low).max()
+        low = np.maximum(low - room, np.minimum(walls.min(axis=0), low))
+        high = np.minimum(high + room, np.maximum(walls.max(axis=0), high))
+    middle, reach = 0.5 * (low + high), float(np.linalg.norm(high - low))
     side = np.cross(up, along)
     plotter.camera.position = middle - 2.0 * reach * (along - 0.25 * side - 0.35 * up)
     plotter.camera.focal_point, plotter.camera.up = middle, up
     plotter.camera.parallel_projection = True
     plotter.background_color = "white"
-    plotter.reset_camera()
-    plotter.camera.zoom(1.15)
+    plotter.reset_camera(bounds=np.column_stack([low, high]).ravel().tolist())
+    plotter.camera.zoom(1.1)
+    down = 0.12 * plotter.camera.parallel_scale * up  # room for the colours' scale
+    plotter.camera.position, plotter.camera.focal_point = plotter.camera.position - down, middle - down
 
 
 if __name__ == "__main__":

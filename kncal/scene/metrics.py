@@ -175,12 +175,13 @@ METRICS: Registry[Metric] = Registry(
     _bed("bubble_share", "–", "share of the bed's volume that is bubbles", _FIELD),
     _bed("bubble_diameter", "m", "mean equivalent diameter of the bubbles", _FIELD),
     _bed("bubble_velocity", "m/s", "mean rise velocity of the bubbles", _FIELD),
-    _bed("kinetic_energy", "J", "kinetic energy of the particles' translation", _PARTICLES),
+    _bed("kinetic_energy", "J", "kinetic energy of the particles' translation", _PARTICLES, _MOVING),
     _bed(
         "granular_temperature",
         "m²/s²",
         "mean square of the particles' velocity fluctuation, per direction",
         ("frames", "series:particles"),
+        _MOVING,
     ),
     _bed("contacts", "–", "number of contacts between particles", _OVERLAPS),
     _bed("overlap_mean", "m", "mean overlap of all contacts", _OVERLAPS),
@@ -210,7 +211,7 @@ METRICS: Registry[Metric] = Registry(
         _REST,
     ),
     _bed("janssen_k_mu", "–", "K μ of Janssen's law", ("series:walls",), _REST),
-    _bed("kinetic_rotation", "J", "kinetic energy of the particles' rotation", ("series:grains",)),
+    _bed("kinetic_rotation", "J", "kinetic energy of the particles' rotation", ("series:grains",), _MOVING),
     _bed("dissipation", "W", "power that contacts and still walls take", ("series:grains", "frames:grains"), _MOVING),
     group="kncal.metrics",
 )

@@ -120,6 +120,15 @@ def test_a_plane_slope_has_its_angle_whatever_flies_above_it(angle):
     assert np.mean(found) == pytest.approx(angle, abs=3.5 * error + 0.2)
 
 
+def test_the_roughness_of_one_surface_tells_how_well_its_angle_is_known():
+    hits = 0
+    for seed in range(40):
+        fit = slope_fit(grains(slope(np.random.default_rng(100 + seed), 25.0)), BOX, 1, D)
+        hits += abs(fit.angle - 25.0) <= fit.error
+        assert fit.error < 5.0
+    assert hits >= 33, "95 % less three standard deviations"
+
+
 def test_the_surface_of_a_tilted_scene_is_measured_against_gravity():
     rng, tilt = np.random.default_rng(7), np.radians(12.0)
     x = slope(rng, 0.0)

@@ -41,7 +41,7 @@ def test_a_lattice_has_its_fraction_and_neighbours(name):
     assert carry.all() and (number == neighbours).all()
     assert touching.share == pytest.approx(1e-4, rel=1e-6)
     assert fabric(touching.normal) == pytest.approx(np.eye(3) / 3.0, abs=1e-12)
-    assert anisotropy(touching.normal) == 0.0
+    assert anisotropy(touching.normal)[0] == 0.0
     edges = np.linspace(0.0, space.high[2], 8)
     slabs = fraction_profile(found, space, 2, edges)
     assert (slabs * np.diff(edges)).sum() / space.high[2] == pytest.approx(fraction, rel=1e-12)
@@ -96,12 +96,13 @@ def test_anisotropy_is_zero_of_isotropic_normals_in_the_mean_and_right_of_known_
     rng = np.random.default_rng(1)
     normal = rng.normal(size=(20_000, 3))
     normal /= np.linalg.norm(normal, axis=1)[:, None]
-    assert anisotropy(normal) < 0.1
+    value, chance = anisotropy(normal)
+    assert value < 0.1 and chance == pytest.approx(7.5 / np.sqrt(20_000), rel=0.02)
     # of a distribution (1 + n a n)/4 pi with a = diag(-c/2, -c/2, c): sqrt(3/2 a:a) = 1.5 c
     c = 0.6
     weight = 1.0 + np.einsum("ni,i,ni->n", normal, [-c / 2, -c / 2, c], normal)
     kept = normal[rng.uniform(0.0, 1.0 + c, len(normal)) < weight]
-    assert anisotropy(kept) == pytest.approx(1.5 * c, abs=0.1)
+    assert anisotropy(kept)[0] == pytest.approx(1.5 * c, abs=0.1)
 
 
 def test_cells_of_a_mixture_hold_equal_numbers():
