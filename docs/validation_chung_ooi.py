@@ -285,6 +285,7 @@ CHUNG_OOI = [
             what=what,
             source="symmetry",
             case="chung_ooi_7",
+            sets=("needs.tangential=true",),  # else kncal leaves friction out, as it does nothing
             points="points.csv",
             metric=metric,
             models=BOTH,

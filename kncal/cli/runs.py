@@ -68,14 +68,15 @@ def render(
     with show.run_bars({}) as progress_for:
         models = render_case(scene, solver, folder, kinds(model), progress_for=progress_for, tell=show.note)
     for kind, m in models.items():
-        gas = f", gas and particles exchange data every {show.quantity(m.coupling, 's')}" if m.couplings else ""
+        what = "gas and particles exchange data" if m.scene.gas is not None else "a look"
+        every = f", {what} every {show.quantity(m.coupling, 's')}" if m.couplings else ""
         show.say(
             f"{folder / kind}: {m.n_steps} steps of {show.quantity(m.dt, 's')} to t = "
-            f"{show.quantity(m.t_end, 's')}{gas}"
+            f"{show.quantity(m.t_end, 's')}{every}"
         )
     for text in warnings_of(models):
         show.say(f"  warning: {text}")
-    if (folder / next(iter(models)) / README).is_file():
+    if scene.gas is not None and (folder / next(iter(models)) / README).is_file():
         show.say(f"Gas and particles each run by hand, alone (see {README}). Both together need kncal run.")
 
 

@@ -56,8 +56,8 @@ def start_positions(scene: Scene, *, tell: Tell | None = None, progress: Progres
 
     ``tell``, ``progress``: see `packing`.
     """
-    if scene.number == 0:
-        return Start.at(np.zeros((0, 3)))
+    if scene.number == 0 or not scene.settles:
+        return start_of(scene)
     log = logging.getLogger("kncal")
     log.info("packing %d particles", scene.number)
     try:
@@ -156,7 +156,7 @@ def _settle(model: Plan, start: Start, tell: Tell, progress: Progress | None) ->
             f'expected at most {MOST_STEPS:.3g}; take more gravity, or place = "lattice"'
         )
     chunk = max(1, round(math.sqrt(d / g) / model.dt))
-    looks = math.ceil(PATIENCE * max(fall, 50.0 * chunk * model.dt) / (chunk * model.dt))
+    looks = math.ceil(PATIENCE * (fall / (chunk * model.dt) or 50.0))
     falling = math.ceil(fall / (chunk * model.dt))
     quiet, shares = 0, [math.inf]
     said = _Said(scene, chunk * (falling + _USUAL), model.dt, tell, progress)
@@ -218,7 +218,7 @@ class _Said:
         self._tell, self._progress = tell, progress
         tell(
             f"packing: {scene.number} particles settle in LIGGGHTS before the run, about {steps:.2g} steps of "
-            f'{dt:.3g} s; the packing is kept for other runs of this bed (without: place = "lattice")'
+            f'{dt:.3g} s; the packing is kept for other runs of this scene (without: place = "lattice")'
         )
         self._began: float | None = None
 

@@ -169,12 +169,15 @@ def _tangential(scene: Scene, space: Array, contacts: list[Contact]) -> tuple[bo
     for a, b in rubbed:
         normal = normal_of((a, b)) / np.linalg.norm(normal_of((a, b)))
         where = f"{a.name!r} and {b.name!r}"
-        for p in particles_in([(a, b)]):
-            if np.linalg.norm(np.cross(p.spin, normal)) > 1e-9 * np.linalg.norm(p.spin):
-                return True, f"friction, and {p.name!r} spins: the surfaces of {where} slide on each other"
+        # the rims of both: spins against each other may let them go alike
+        turns = [np.multiply(p.radius, p.spin) for p in particles_in([(a, b)])]
+        rims = np.cross(turns, normal)
+        if np.linalg.norm(rims.sum(axis=0)) > 1e-9 * np.linalg.norm(turns):
+            spinning = particles_in([(a, b)])[int(np.argmax(np.linalg.norm(rims, axis=1)))]
+            return True, f"friction, and {spinning.name!r} spins: the surfaces of {where} slide on each other"
         if relative.shape[1] > 1:
             return True, f"friction, and {where} can meet at an angle: their surfaces can slide on each other"
-    return False, "friction, but every contact is head-on and without spin: no surface slides on another"
+    return False, "friction, but every contact is head-on, and no spin lets one surface slide on another"
 
 
 def _rolling(scene: Scene, contacts: list[Contact], tangential: bool) -> tuple[bool, str]:

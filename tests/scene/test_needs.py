@@ -79,6 +79,16 @@ def test_spin_across_the_normal_rubs_and_opens_a_plane(spin: Vector) -> None:
     assert decide(both).dimensions == 3
 
 
+def test_surfaces_that_go_alike_do_not_rub() -> None:
+    """Equal spheres that meet head-on and spin against each other: gears. Either spin alone, or both alike, rub."""
+    start = head_on(contact=ROUGH)
+    left, right = start.spheres
+    gears = with_bodies(start, spheres=(replace(left, spin=(0.0, 9.0, 1.0)), replace(right, spin=(0.0, -9.0, -1.0))))
+    assert "tangential" not in used(gears)
+    for spin in ((0.0, 0.0, 0.0), (0.0, 9.0, 1.0), (0.0, -9.0, -1.1)):
+        assert "tangential" in used(with_bodies(gears, spheres=(gears.spheres[0], replace(right, spin=spin))))
+
+
 def test_spin_about_the_line_of_centres_does_not_rub() -> None:
     start = head_on(contact=ROUGH)
     left, right = start.spheres
