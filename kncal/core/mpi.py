@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 from kncal.core.errors import InputError
 from kncal.core.process import ALONE, ProcessResult, death_guard, run_process, solver_environment
@@ -99,29 +100,50 @@ def run_ranks(
     (``mpirun`` itself then ends the others, within two seconds). All ranks end with ``mpirun``, also if it is killed
     (where ``setpriv`` exists), and nothing stays behind in the machine's shared memory.
     """
-    environment = mpi_environment(solver_environment() if env is None else env, ranks)
+    environment = solver_environment() if env is None else env
     if ranks == 1:
         return run_process(
             command, cwd=cwd, log=log, env=environment, timeout=timeout, on_line=on_line, pass_fds=pass_fds
         )
-    # mpirun puts each rank into a process group of its own, where no signal to ours reaches it.
-    with _shared_memory() as (folder, descriptors):
-        if folder is not None:
-            environment["OMPI_MCA_btl_vader_backing_directory"] = str(folder)
+    with started_as(command, ranks, environment, oversubscribe=oversubscribe) as how:
         process = run_process(
-            (*_start(ranks, oversubscribe), *death_guard(), *command),
+            how.command,
             cwd=cwd,
             log=log,
-            env=environment,
+            env=how.environment,
             timeout=timeout,
             on_line=on_line,
-            pass_fds=(*pass_fds, *descriptors),
+            pass_fds=(*pass_fds, *how.descriptors),
             grace=_GRACE,
         )
     code = process.returncode
     if process.status == "exited" and code is not None and 128 < code < 128 + 65:  # as a shell counts signals
         process = replace(process, returncode=None, signal=code - 128)
     return replace(process, command=mpi_command(command, ranks, oversubscribe=oversubscribe))
+
+
+class Start(NamedTuple):
+    """How a program is started: command, environment, and descriptors that it inherits."""
+
+    command: tuple[str, ...]
+    environment: dict[str, str]
+    descriptors: tuple[int, ...]
+
+
+@contextmanager
+def started_as(
+    command: Sequence[str], ranks: int, environment: Mapping[str, str], *, oversubscribe: bool = False
+) -> Iterator[Start]:
+    """Give the way to start ``command`` on ``ranks`` ranks, from its way on one; what they share goes at the end."""
+    own = mpi_environment(environment, ranks)
+    if ranks == 1:
+        yield Start(tuple(command), own, ())
+        return
+    # mpirun puts each rank into a process group of its own, where no signal to ours reaches it.
+    with _shared_memory() as (folder, descriptors):
+        if folder is not None:
+            own["OMPI_MCA_btl_vader_backing_directory"] = str(folder)
+        yield Start((*_start(ranks, oversubscribe), *death_guard(), *command), own, descriptors)
 
 
 def _start(ranks: int, oversubscribe: bool) -> tuple[str, ...]:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import secrets
 import shutil
 import signal
 import socket
+import struct
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, suppress
@@ -14,12 +16,14 @@ from pathlib import Path
 from kncal.core.awake import LOOK, awake
 from kncal.core.errors import RunError, SolverMissingError
 from kncal.core.files import decode_line
+from kncal.core.mpi import started_as
 from kncal.core.process import ProcessResult, is_stopped, open_log, reap, result, signal_group, start, wait_for
 from kncal.core.scratch import held_scratch
 from kncal.core.stopping import check_stop
 
 #: Longest message [bytes].
 MAX_MESSAGE = 1 << 16
+_CONNECT = 120.0  # s that ranks may take to start
 _GRACE = 10.0  # s that a solver may take to end once it was asked, or once its socket has closed
 _CLOCK = os.sysconf("SC_CLK_TCK")
 _LOG_LIMIT = 16 << 20  # bytes; a long run would write gigabytes
@@ -54,6 +58,11 @@ class SolverProcess:
         Of the shared memory, inherited.
     pass_fds : sequence of int
         More descriptors that it inherits.
+    ranks : int
+        Processes that share the work; of several the first talks for all. Their launcher hands no descriptor on, so
+        ``variable`` then is "<name of a socket> <path of the memory>".
+    oversubscribe : bool
+        Allow more ranks than cores.
 
     Raises
     ------
@@ -74,6 +83,8 @@ class SolverProcess:
         variable: str,
         descriptor: int,
         pass_fds: Sequence[int] = (),
+        ranks: int = 1,
+        oversubscribe: bool = False,
     ) -> None:
         self.log, self._name, self._command = log, name, tuple(command)
         self._begin = time.monotonic()
@@ -83,15 +94,27 @@ class SolverProcess:
             self._log = open_log(log)
             held.callback(os.close, self._log)
             session, holding = held.enter_context(held_scratch())  # see `kncal.core.process.run_process`
-            self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-            held.enter_context(self._socket)
-            with theirs:
-                inherited = (theirs.fileno(), descriptor)
-                own = {**environment, variable: f"{inherited[0]} {inherited[1]}"}
-                own["OMPI_MCA_orte_tmpdir_base"] = str(session)
-                child = start(command, cwd, own, self._log, (*inherited, *holding, *pass_fds))
+            how = held.enter_context(started_as(command, ranks, environment, oversubscribe=oversubscribe))
+            own = how.environment | {"OMPI_MCA_orte_tmpdir_base": str(session)}
+            descriptors = (*holding, *how.descriptors, *pass_fds)
+            if ranks == 1:
+                self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+                held.enter_context(self._socket)
+                with theirs:
+                    inherited = (theirs.fileno(), descriptor)
+                    own[variable] = f"{inherited[0]} {inherited[1]}"
+                    child = start(how.command, cwd, own, self._log, (*inherited, *descriptors))
+            else:
+                # Abstract: no file that could be left, or be in the way.
+                listener = held.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET))
+                listener.bind(f"\0kncal-{secrets.token_hex(16)}")
+                listener.listen(1)
+                own[variable] = f"{listener.getsockname()[1:].decode()} /proc/{os.getpid()}/fd/{descriptor}"
+                child = start(how.command, cwd, own, self._log, descriptors)
+                if child is not None:
+                    self._socket = held.enter_context(_accepted(listener, child.pid))
             if child is None:
-                raise SolverMissingError(f"{command[0]} is not installed (no such program on PATH)")
+                raise SolverMissingError(f"{how.command[0]} is not installed (no such program on PATH)")
             self._child, self._held = child, held.pop_all()
 
     @property
@@ -206,3 +229,22 @@ class SolverProcess:
         if os.fstat(self._log).st_size > _LOG_LIMIT:
             shutil.copyfile(self.log, self.log.with_name(f"{self.log.name}.before"))
             os.ftruncate(self._log, 0)
+
+
+def _accepted(listener: socket.socket, pid: int) -> socket.socket:
+    """Return the socket of the first rank of ``mpirun``, process ``pid``; one without a peer if there is none."""
+    deadline = awake() + _CONNECT
+    while awake() < deadline and not os.waitid(os.P_PID, pid, os.WEXITED | os.WNOHANG | os.WNOWAIT):
+        listener.settimeout(LOOK)
+        try:
+            found, _ = listener.accept()
+        except TimeoutError:
+            check_stop()
+            continue
+        _, user, _ = struct.unpack("3i", found.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
+        if user == os.getuid():
+            return found
+        found.close()
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    theirs.close()
+    return ours

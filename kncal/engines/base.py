@@ -300,3 +300,7 @@ class ParticleSolver(_Side, Protocol):
         ``force`` None: there is no gas. What is returned is None if nothing was observed, since nothing moves.
         """
         ...
+
+    def end_interval(self, number: int) -> None:
+        """Carry out what happens to walls at the end of interval ``number``, from 1; before the state is saved."""
+        ...

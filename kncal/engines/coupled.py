@@ -116,6 +116,9 @@ class Still:
     def run(self, steps: int, force: Array | None) -> None:
         """Leave everything as it is."""
 
+    def end_interval(self, number: int) -> None:
+        """Leave everything as it is."""
+
     def save(self, folder: Path) -> None:
         """Write nothing: where they are stands in the run folder."""
 
@@ -278,7 +281,7 @@ def _particles(
     if not _moves(plan.scene):
         return Still(start.x, plan.scene.diameter)
     at = None if state is None else state / PARTICLES
-    particles = LiggghtsDem(plan, folder / PARTICLES, None if at else start, restart=at, pass_fds=pass_fds)
+    particles = LiggghtsDem(plan, folder / PARTICLES, None if at else start, restart=at, first=first, pass_fds=pass_fds)
     if at is not None and particles.step != first * plan.steps_per_coupling:
         particles.close()
         raise ReadError(f"{at}: the state of step {particles.step}, not of coupling {first}; run it with --rerun")

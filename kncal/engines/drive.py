@@ -114,6 +114,7 @@ def drive(
             series.add(number, inlet, gas_step, dem_step, state)
             if number % plan.frames_every == 0:
                 series.frame(number, state, None if gas is None else gas.fields())
+            particles.end_interval(number)
             if stop():
                 keep(number)
                 raise KeyboardInterrupt

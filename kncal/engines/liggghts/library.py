@@ -7,6 +7,7 @@ name, and nothing is left when either side is gone. No wait is without a limit.
 from __future__ import annotations
 
 import json
+import math
 import mmap
 import os
 import shutil
@@ -18,14 +19,17 @@ from typing import Any
 
 import numpy as np
 
+from kncal.core.arrays import read_npz
 from kncal.core.checks import Array
 from kncal.core.disk import blame
-from kncal.core.errors import InputError, RunError, SolverMissingError
+from kncal.core.errors import InputError, ReadError, RunError, SolverMissingError
 from kncal.core.process import ProcessResult, signal_name, solver_environment
 from kncal.core.solver_process import PeerLostError, SolverProcess
 from kncal.engines.liggghts.c_library import LIBRARY
-from kncal.engines.liggghts.deck import DECK, RESTART, bed_deck, write_deck
+from kncal.engines.liggghts.deck import DECK, RESTART, bed_deck, deck_context, write_deck
 from kncal.engines.liggghts.deck_description import Deck
+from kncal.engines.liggghts.deck_flow import deck_streams
+from kncal.engines.liggghts.deck_walls import change_lines, change_times
 from kncal.engines.liggghts.impacts import Surface, speed_edges
 from kncal.engines.liggghts.library_child import SAVED_FORCES, VARIABLE
 from kncal.engines.liggghts.shared import Shared, Sizes, histogram_edges
@@ -44,6 +48,7 @@ _START_LIMIT = 120.0  # s: deck, neighbour lists, and a machine that is busy wit
 _RUN_LIMIT = 10.0  # s, of any run; and
 _STEP_LIMIT = 2e-5  # s per particle and step, a hundred times what one takes
 _SAVE_LIMIT = 300.0  # s, for slow disks
+_MOST_SAVED = 1 << 30  # bytes of saved forces
 
 
 class LiggghtsDem:
@@ -58,7 +63,9 @@ class LiggghtsDem:
         The child's folder (made if missing): deck, particles, log.
     start : Start, None with ``restart``
     restart : Path, optional
-        A folder that `save` wrote: go on from there, with the contact history.
+        A folder that `save` wrote after the end of interval ``first``: go on from there, with the contact history.
+    ranks : int
+        Processes that share the particles; ``oversubscribe``: also more than there are cores.
     pass_fds : sequence of int
         Open descriptors that the child inherits, e.g. the lock of the run folder.
 
@@ -81,29 +88,36 @@ class LiggghtsDem:
         start: Start | None,
         restart: Path | None = None,
         *,
+        first: int = 0,
+        ranks: int = 1,
+        oversubscribe: bool = False,
         pass_fds: Sequence[int] = (),
     ) -> None:
         scene = model.scene
         self.histogram_edges = histogram_edges(scene.d_min)
         self.impact_edges = speed_edges()
-        self.walls: tuple[str, ...] = ()
-        self._count = scene.number
+        self.walls = () if scene.gas else tuple(scene.walls)
+        self._plan, self._folder = model, folder
         self._plane = middle(scene) if scene.layer else None
-        self._folder = folder
-        self._step = 0
+        self._cpu = 0.0
+        self._step = first * model.steps_per_coupling
+        self._inserted, self._left = [0] * len(deck_streams(model)), 0
         folder.mkdir(parents=True, exist_ok=True)
         if restart is not None:
             for name in SAVED:
                 _copy_saved(restart / name, folder / name)
-            deck = bed_deck(model)
+            self._inserted = _brought(folder / SAVED_FORCES, len(self._inserted))
+            self._deck = bed_deck(model, time=first * model.coupling, inserted=self._inserted)
         elif start is not None:
             _check_start(scene, start)
-            deck = bed_deck(model, start)
+            self._deck = bed_deck(model, start)
         else:
             raise InputError("start: None, expected particles, or a restart folder")
-        write_deck(deck, folder)
-        sizes = Sizes(self._count, len(tuple(model.species.pairs())), len(self.walls), HEIGHTS)
-        arguments = _arguments(model, deck, sizes) | {"saved": SAVED_FORCES if restart else ""}
+        self._made = list(self._inserted)
+        write_deck(self._deck, folder)
+        sizes = Sizes(scene.number, len(tuple(model.species.pairs())), len(self.walls), HEIGHTS)
+        arguments = _arguments(model, self._deck, sizes) | {"saved": SAVED_FORCES if restart else ""}
+        arguments |= self._of_walls(first) | {"ranks": ranks}
         # The child imports what this process imports.
         environment = solver_environment() | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
         memory = os.memfd_create("kncal-particles", os.MFD_CLOEXEC)
@@ -119,6 +133,8 @@ class LiggghtsDem:
                 variable=VARIABLE,
                 descriptor=memory,
                 pass_fds=pass_fds,
+                ranks=ranks,
+                oversubscribe=oversubscribe,
             )
         finally:
             os.close(memory)
@@ -133,7 +149,8 @@ class LiggghtsDem:
     @property
     def cpu_seconds(self) -> float:
         """CPU time of the child so far [s]."""
-        return self._process.cpu_seconds
+        # Of several ranks the process that was started is their launcher, which has worked little.
+        return max(self._process.cpu_seconds, self._cpu)
 
     @property
     def pid(self) -> int:
@@ -169,7 +186,7 @@ class LiggghtsDem:
             if self._plane is not None:
                 shared.force[:, 1] = 0.0
         request = {"do": "run", "steps": steps, "with_force": force is not None}
-        answer = self._ask(request, _RUN_LIMIT + _STEP_LIMIT * steps * (self._count + 100), steps)
+        answer = self._ask(request, _RUN_LIMIT + _STEP_LIMIT * steps * (len(shared.x) + 100), steps)
         return DemStep(
             floor_force=answer["floor"],
             other_walls_force=answer["other_walls"],
@@ -185,6 +202,30 @@ class LiggghtsDem:
             wall_force=shared.wall_force.copy(),
         )
 
+    def end_interval(self, number: int) -> None:
+        """Carry out what happens to walls at the end of interval ``number``."""
+        deck = self._deck
+        times = {round(time / deck.every): time for time in change_times(deck.walls, deck.every)}
+        if number not in times:
+            return
+        context = deck_context(deck)
+        words = str(context["selectors"]), str(context["switches"])
+        lines = change_lines(deck.walls, times[number], deck.every, *words)
+        self._ask({"do": "change", "commands": lines, "walls": self._of_walls(number)}, _START_LIMIT, 0)
+
+    def _of_walls(self, number: int) -> dict[str, Any]:
+        """Return what the child has to know of the walls that are there after interval ``number``."""
+        there = [wall for wall in self._deck.walls if wall.there(number * self._deck.every, self._deck.every)]
+        place = {name: i for i, name in enumerate(self.walls)}
+        plain = [wall for wall in there if not wall.is_mesh]
+        return {
+            "surfaces": [
+                Surface(wall.kind, "xyz".index(wall.axis), wall.position, wall.centre, wall.radius) for wall in plain
+            ],
+            "meshes": [{"kind": wall.kind, "wall": place[wall.name]} for wall in there if wall.is_mesh],
+            "forces": [(place[wall.name], f"force_{wall.fix}") for wall in plain if wall.name in place],
+        }
+
     def save(self, folder: Path) -> None:
         """Write the state (contact history included) into ``folder``, made if missing: the files `SAVED`.
 
@@ -192,7 +233,13 @@ class LiggghtsDem:
         was never saved differs at most by rounding, from particles brought back into a periodic box (1e-13 m after
         40 couplings); without periodic sides it was found to be the same, too.
         """
-        self._ask({"do": "save", "before": [], "after": []}, _SAVE_LIMIT, 0)
+        number = self._step // self._plan.steps_per_coupling
+        before, after = [], []
+        for stream, made, now in zip(self._deck.streams, self._made, self._inserted, strict=True):
+            before += stream.off_lines(made)
+            after += stream.lines(number, now, self._step)
+        self._ask({"do": "save", "before": before, "after": after}, _SAVE_LIMIT, 0)
+        self._made = list(self._inserted)
         folder.mkdir(parents=True, exist_ok=True)
         for name in SAVED:
             shutil.move(self._folder / name, folder / name)
@@ -237,9 +284,13 @@ class LiggghtsDem:
         """Book an answer; refuse a state that no one should go on with."""
         shared = self._open()
         problem, failure = "", "solver-error"
-        if answer["count"] != self._count:
-            problem = f"{answer['count']} of {self._count} particles are left: some left the column"
+        begin = len(shared.x) - sum(stream.total for stream in self._deck.streams)
+        come, gone = sum(answer["inserted"]), answer["deleted"]
+        if answer["count"] != begin + come - gone:
+            problem = f"{answer['count']} particles are there, expected {begin + come - gone} ({begin} at the start, {come} inserted, {gone} deleted at outlets): some left the domain"
             failure = "lost-particles"
+        elif late := self._late(answer["inserted"], answer["step"]):
+            problem, failure = late, "lost-particles"
         elif steps is not None and answer["step"] != self._step + steps:
             problem = f"it stopped at step {answer['step']}, expected {self._step + steps}: was it sent a signal?"
         elif not all(np.isfinite(part[shared.kind >= 0]).all() for part in (shared.x, shared.v)):
@@ -247,10 +298,24 @@ class LiggghtsDem:
             failure = "not-finite"
         elif not answer["in_plane"]:
             problem = f"particles move or spin out of the plane y = {self._plane!r} m of the layer"
-        self._step = answer["step"]
+        self._step, self._inserted, self._cpu = answer["step"], answer["inserted"], answer["cpu"]
         if problem:
             self._process.kill()
             raise RunError(f"LIGGGHTS: {problem}; log: {self._log}", failure)
+
+    def _late(self, inserted: Sequence[int], step: int) -> str:
+        """Say which stream has brought fewer particles than it should by now; LIGGGHTS only warns of that."""
+        for stream, now in zip(self._deck.streams, inserted, strict=True):
+            times = max(0, (step - stream.first) // stream.every + 1)
+            each = stream.rate * stream.every * self._plan.dt / stream.mass
+            # each time it is rounded up or down at random, to half a particle at a time
+            expected = min(times * each, stream.total)
+            if now < expected - 1.0 - 2.0 * math.sqrt(times):
+                return (
+                    f"particles.{stream.name}: {now} particles were inserted, expected {expected:.0f} by now: its "
+                    "region is too full: expected a larger region, a higher velocity, or a smaller rate"
+                )
+        return ""
 
     def _failure(self, ended: ProcessResult) -> RunError:
         how = f"ended with exit code {ended.returncode}"
@@ -266,6 +331,14 @@ class LiggghtsDem:
             text, failure = f"particles left the column (its counts mean nothing): {text}", "lost-particles"
         failure, text = blame(failure, f"LIGGGHTS {how}: {text}; log: {self._log}", self._folder)
         return RunError(text, failure)
+
+
+def _brought(path: Path, streams: int) -> list[int]:
+    """Return how many particles each stream had brought when a state was saved."""
+    found = read_npz(path, _MOST_SAVED, ["inserted"])["inserted"]
+    if found.shape != (streams,):
+        raise ReadError(f"{path}: {found.shape} numbers of inserted particles, expected {streams}")
+    return [int(number) for number in found]
 
 
 def _arguments(model: Plan, deck: Deck, sizes: Sizes) -> dict[str, object]:
@@ -287,14 +360,9 @@ def _arguments(model: Plan, deck: Deck, sizes: Sizes) -> dict[str, object]:
         "pairs": list(species.pairs()),
         "kinds": len(species.members),
         "floor": deck.has_floor,
-        "surfaces": [
-            Surface(wall.kind, "xyz".index(wall.axis), wall.position) for wall in deck.walls if not wall.is_mesh
-        ],
-        "meshes": [],
-        "forces": [],
-        "outlets": [],
-        "deletes": False,
-        "streams": [],
+        "outlets": [(outlet.fix, outlet.deletes) for outlet in deck.outlets],
+        "deletes": any(outlet.deletes for outlet in deck.outlets),
+        "streams": [stream.fix for stream in deck.streams],
     }
 
 

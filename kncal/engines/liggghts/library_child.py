@@ -17,6 +17,7 @@ import mmap
 import os
 import socket
 import sys
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -26,7 +27,7 @@ from numpy.typing import NDArray
 
 from kncal.core.checks import Array
 from kncal.core.solver_process import MAX_MESSAGE
-from kncal.engines.liggghts.c_library import Library
+from kncal.engines.liggghts.c_library import Library, RankLibrary
 from kncal.engines.liggghts.impacts import (
     Before,
     Speeds,
@@ -60,7 +61,14 @@ class Child:
         self._rows = _Rows(len(shared.x))
         self._tally = _Tally(given["pairs"], given["kinds"])
         saved = str(given["saved"])
-        lib.file(str(given["deck"]))
+        deck = Path(str(given["deck"]))
+        lib.file(deck.name)
+        #: LIGGGHTS takes no wall away that has these tables.
+        self._tables = [
+            line
+            for line in deck.read_text("ascii").splitlines()
+            if line.startswith("compute") and "wall_contacts" in line
+        ]
         self._samples = 1  # of the running mean of the floor force: the deck took one
         self._floor = lib.scalar("floor") if given["floor"] else 0.0
         self._gas = lib.has_fix("dragforce")
@@ -69,8 +77,8 @@ class Child:
         self._out = np.zeros((len(given["outlets"]), 3))
         self._inserted = np.zeros(len(given["streams"]))
         if saved:
-            self._restore(Path(saved))
             with np.load(saved, allow_pickle=False) as state:
+                self._put(state)
                 self._floor = float(state["floor"])
                 self._rows.load(state["row_of_id"], int(state["next_row"]))
                 # A restart brings back some of an outlet's numbers, not all.
@@ -80,20 +88,24 @@ class Child:
 
     def publish(self) -> dict[str, Any]:
         """Put positions, velocities and species into the shared arrays, by row; return what every answer holds."""
-        shared, rows = self.shared, self._rows(self.lib.rows)
-        names = (("x", shared.x), ("v", shared.v), ("omega", shared.spin))
+        shared, lib = self.shared, self.lib
+        rows, kinds = self._rows(lib.whole(lib.ids)), lib.whole(lib.kinds)
+        vectors = [
+            (lib.whole(lib.vectors(name)), to)
+            for name, to in (("x", shared.x), ("v", shared.v), ("omega", shared.spin))
+        ]
         if len(rows) == len(shared.x):
             # By the inverse of rows: to take rows of three is ten times quicker than to put them.
             places = _inverse(rows, len(rows))
-            for name, to in names:
-                self.lib.vectors(name).take(places, axis=0, out=to, mode="clip")
-            self.lib.kinds.take(places, out=shared.kind, mode="clip")
+            for vector, to in vectors:
+                vector.take(places, axis=0, out=to, mode="clip")
+            kinds.take(places, out=shared.kind, mode="clip")
         elif not self._rows.full:
             shared.kind[:] = -1
-            shared.kind[rows] = self.lib.kinds
-            for name, to in names:
+            shared.kind[rows] = kinds
+            for vector, to in vectors:
                 to[:] = np.nan
-                to[rows] = self.lib.vectors(name)
+                to[rows] = vector
         for axis, period in enumerate(self._periods):
             if period:
                 # LIGGGHTS brings a particle back into a periodic box only when it makes neighbour lists.
@@ -108,6 +120,7 @@ class Child:
             "out_number": passed[:, 0].round().astype(int).tolist(),
             "out_mass": passed[:, 1].tolist(),
             "deleted": int(passed[:, 2].sum().round()),
+            "cpu": float(lib.whole(np.array([time.process_time()])).sum()),
         }
 
     def run(self, steps: int, with_force: bool) -> dict[str, Any]:
@@ -138,7 +151,7 @@ class Child:
         if not self._gas:
             return 0.0, 0.0
         held = self.lib.of_fix("dragforce")
-        force = self.shared.force.take(self._rows(self.lib.rows), axis=0) if with_force else held.copy()
+        force = self.shared.force.take(self._rows(self.lib.ids), axis=0) if with_force else held.copy()
         old = float((held @ self._up).sum())
         push = float((force @ self._up).sum())
         if self._fresh:
@@ -155,7 +168,7 @@ class Child:
         """Return the forces on the floor and on the other walls, means over the interval [N]."""
         gas = ((steps - 0.5) * push + 0.5 * old) / steps
         gain = (self._momentum() - momentum) / (steps * float(self.given["dt"]))
-        weight = float(self.given["gravity"]) * self.lib.masses.sum()
+        weight = float(self.given["gravity"]) * self.lib.whole(self.lib.masses).sum()
         others = gain + weight - gas
         if self.given["outlets"] or self.given["streams"]:
             others = float("nan")  # particles that come and go bring momentum, and take it along
@@ -168,11 +181,19 @@ class Child:
         # To add up the other walls' forces in every step would cost 2 % of the run for each of them.
         return {"floor": floor, "other_walls": others - floor}
 
-    def change(self, commands: Sequence[str]) -> dict[str, Any]:
-        """Carry out commands that change walls, at the end of an interval; forces and motion stay as they are."""
-        forces = self._forces()
+    def change(self, commands: Sequence[str], walls: Mapping[str, Any]) -> dict[str, Any]:
+        """Carry out commands that change walls, at the end of an interval; forces and motion stay as they are.
+
+        ``walls``: what is then to be known of them.
+        """
+        forces, tables = self._forces(), [line for line in self._tables if "unfix meshes" in map(_plain, commands)]
+        for line in reversed(tables):
+            self.lib.command(f"uncompute {line.split()[1]}")
         for command in commands:
             self.lib.command(command)
+        self.given |= walls
+        if self.given["meshes"]:
+            self.lib.as_at_the_start(tables)
         self.lib.command("run 0 post no")
         self._put(forces)
         return {}
@@ -192,17 +213,19 @@ class Child:
             "out": self._out + self._passed(),
             "inserted": self._come(),
         }
-        np.savez(SAVED_FORCES, **state)  # type: ignore[arg-type]  # the stubs mistake the names for options
+        if self.lib.rank == 0:
+            np.savez(SAVED_FORCES, **state)  # type: ignore[arg-type]  # the stubs mistake the names for options
         for command in (*before, "write_restart particles.restart", *after):
             self.lib.command(command)
         self.lib.command("run 0 post no")
-        self._restore(Path(SAVED_FORCES))
+        self._put(state)
         self._inserted = state["inserted"]
         return {}
 
     def _looks(self, steps: int) -> Iterator[Array]:
         """Run, and give the contacts (see `Library.contacts`) on the way and at the end; they are gone at the next."""
-        *parts, last = split(steps, max(1, round(steps / LOOK_EVERY)))
+        # What several ranks have in contact is brought together through a file: that is dearer.
+        *parts, last = split(steps, max(1, round(steps / LOOK_EVERY)) if self.lib.ranks == 1 else 1)
         for part in parts:
             self._advance(part)
             yield self.lib.contacts()
@@ -234,19 +257,23 @@ class Child:
     def _before(self) -> tuple[Before, Array]:
         """Copy what the impact speeds of the next step's new contacts are made of."""
         lib = self.lib
-        x, v = lib.vectors("x").copy(), lib.vectors("v").copy()
-        push = lib.vectors("f") / lib.masses[:, None]
-        row = _inverse(lib.rows, len(self.shared.x))
-        before = Before(x=x, v=v, push=push, radius=lib.radii.copy(), kind=lib.kinds, row=row)
+        before = Before(
+            x=lib.whole(lib.vectors("x").copy()),
+            v=lib.whole(lib.vectors("v").copy()),
+            push=lib.whole(lib.vectors("f") / lib.masses[:, None]),
+            radius=lib.whole(lib.radii.copy()),
+            kind=lib.whole(lib.kinds),
+            row=_inverse(lib.whole(lib.ids), len(self.shared.x)),
+        )
         return before, lib.wall_contacts().copy() if self.given["meshes"] else np.empty((0, 0))
 
     def _see_impacts(self, before: Before, near: Array, contacts: Array) -> None:
         """Count the impact speeds of the contacts that began in the last step."""
-        given, rows = self.given, self.lib.rows
+        given, ids, x = self.given, self.lib.whole(self.lib.ids), self.lib.whole(self.lib.vectors("x"))
         self._watched = dt = float(given["dt"])
         first, second = (contacts[:, k].astype(np.intp) - 1 for k in (0, 1))
         seen = [pair_speeds(before, first, second, self._periods)]
-        seen += [wall_speeds(before, self.lib.vectors("x"), rows, Surface(*wall)) for wall in given["surfaces"]]
+        seen += [wall_speeds(before, x, ids, Surface(*wall)) for wall in given["surfaces"]]
         if given["meshes"]:
             kinds = [mesh["kind"] for mesh in given["meshes"]]
             seen.append(mesh_speeds(before, near, self.lib.wall_contacts(), kinds, dt))
@@ -259,9 +286,9 @@ class Child:
         forces[:] = 0.0
         if not len(forces):
             return
-        heights = self.lib.vectors("x") @ self._up
+        heights = self.lib.whole(self.lib.vectors("x")) @ self._up
         for wall, fix in self.given["forces"]:
-            _add_by_height(forces[wall], edges, heights, self.lib.of_fix(fix))
+            _add_by_height(forces[wall], edges, heights, self.lib.whole(self.lib.of_fix(fix)))
         if self.given["meshes"]:
             near = self.lib.wall_contacts()
             near = near[near[:, 12] > 0.0]
@@ -271,20 +298,16 @@ class Child:
 
     def _forces(self) -> dict[str, Array]:
         """Return forces and torques by id."""
-        found = {}
+        found, ids = {}, self.lib.whole(self.lib.ids)
         for name in ("f", "torque"):
             found[name] = np.full_like(self.shared.x, np.nan)
-            found[name][self.lib.rows] = self.lib.vectors(name)
+            found[name][ids] = self.lib.whole(self.lib.vectors(name))
         return found
 
     def _put(self, forces: Mapping[str, Array]) -> None:
-        rows = self.lib.rows
+        ids = self.lib.ids
         for name in ("f", "torque"):
-            self.lib.vectors(name)[:] = forces[name][rows]
-
-    def _restore(self, path: Path) -> None:
-        with np.load(path, allow_pickle=False) as saved:
-            self._put(saved)
+            self.lib.vectors(name)[:] = forces[name][ids]
 
     def _come(self) -> Array:
         """Return how many particles each stream has brought; the fix of a stream knows those since it was made."""
@@ -303,7 +326,7 @@ class Child:
 
     def _momentum(self) -> float:
         """Return the upward momentum of all particles [N s]."""
-        return float(self.lib.masses @ (self.lib.vectors("v") @ self._up))
+        return float(self.lib.whole(self.lib.masses) @ (self.lib.whole(self.lib.vectors("v")) @ self._up))
 
     def _in_plane(self, y: float) -> bool:
         """Whether every particle is exactly in the plane and neither moves nor spins out of it."""
@@ -378,6 +401,10 @@ def _add_by_height(to: Array, edges: Array, heights: Array, force: Array) -> Non
         to[:, axis] -= np.bincount(place, force[:, axis], len(to))
 
 
+def _plain(command: str) -> str:
+    return " ".join(command.split())
+
+
 def _inverse(rows: NDArray[np.intp], most: int) -> NDArray[np.intp]:
     """Return the row of LIGGGHTS for each of ``most`` rows of the callers' arrays, -1 where there is none."""
     places = np.full(most, -1)
@@ -391,25 +418,39 @@ def split(steps: int, parts: int) -> list[int]:
     return [b - a for a, b in itertools.pairwise(marks) if b > a]
 
 
-def serve(channel: socket.socket, child: Child, kept: int) -> None:
-    """Answer until the parent closes the socket, or is gone."""
-    channel.send(json.dumps(child.publish()).encode())
-    while message := channel.recv(MAX_MESSAGE):
+def serve(channel: socket.socket | None, child: Child, kept: int) -> None:
+    """Answer until the parent closes the socket, or is gone; the first rank talks for all (others: None)."""
+    lib = child.lib
+    _send(channel, child.publish())
+    while message := lib.told(b"" if channel is None else channel.recv(MAX_MESSAGE)):
         request = json.loads(message)
         answer: dict[str, Any] = getattr(child, request.pop("do"))(**request)
-        if os.fstat(1).st_size > kept + MAX_LOG:
+        if lib.ranks == 1 and os.fstat(1).st_size > kept + MAX_LOG:
             os.ftruncate(1, kept)  # opened for appending: the next line follows the deck's
-        channel.send(json.dumps(answer | child.publish()).encode())
+        _send(channel, answer | child.publish())
+
+
+def _send(channel: socket.socket | None, answer: dict[str, Any]) -> None:
+    if channel is not None:
+        channel.send(json.dumps(answer).encode())
 
 
 def main(arguments: list[str]) -> None:
-    """Take the inherited socket and mapping, and serve."""
+    """Take the socket and the mapping, and serve; of several ranks the first has them."""
     given = json.loads(arguments[0])
     sizes = Sizes(*given["sizes"])
-    channel, memory = map(int, os.environ[VARIABLE].split())
-    shared = Shared.over(mmap.mmap(memory, sizes.bytes), sizes)
-    library = Library()
-    serve(socket.socket(fileno=channel), Child(library, shared, given), os.fstat(1).st_size)
+    library = Library() if given["ranks"] == 1 else RankLibrary()
+    channel, memory = None, mmap.mmap(-1, sizes.bytes)
+    if library.ranks > 1 and library.rank == 0:
+        name, path = os.environ[VARIABLE].split()
+        channel = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        channel.connect(f"\0{name}")
+        with Path(path).open("r+b") as file:
+            memory = mmap.mmap(file.fileno(), sizes.bytes)
+    elif library.ranks == 1:
+        number, descriptor = map(int, os.environ[VARIABLE].split())
+        channel, memory = socket.socket(fileno=number), mmap.mmap(descriptor, sizes.bytes)
+    serve(channel, Child(library, Shared.over(memory, sizes), given), os.fstat(1).st_size)
     library.close()
 
 
