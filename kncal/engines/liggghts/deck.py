@@ -7,7 +7,7 @@ linear and the Hertz deck differ in the normal law, its numbers and the time ste
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -108,7 +108,6 @@ def bed_deck(
     start: Start | None = None,
     *,
     time: float = 0.0,
-    inserted: Sequence[int] = (),
     by_hand: bool = False,
 ) -> Deck:
     """Describe the deck of a model of many particles, in intervals.
@@ -118,7 +117,6 @@ def bed_deck(
     model : Plan
     start : the particles that are there at the start; None: from the file `RESTART`
     time : of a run that goes on [s]: what happened to walls until then is in force
-    inserted : number of particles that each stream has brought by then
     by_hand : whether the deck itself runs to the end, with what happens on the way; else kncal drives it
 
     Raises
@@ -156,7 +154,6 @@ def bed_deck(
         steps=model.n_steps if by_hand else None,
         interval=model.steps_per_coupling,
         time=time,
-        inserted=inserted,
         frames_every=model.frames_every * model.steps_per_coupling,
         start=None if start is None else Particles(kinds=start.kind, x=start.x, v=start.v, spin=start.spin),
         count=scene.number,
@@ -305,11 +302,7 @@ def _flow_context(deck: Deck) -> dict[str, object]:
             f"radius constant {number(0.5 * diameter)}"
         )
     return {
-        "streams": [
-            line
-            for stream, inserted in zip(deck.streams, deck.inserted or [0] * len(deck.streams), strict=True)
-            for line in stream.lines(round(deck.time / deck.every), inserted, round(deck.time / deck.dt))
-        ],
+        "streams": [line for stream in deck.streams for line in stream.lines(by_hand=deck.steps is not None)],
         "outlets": outlets,
         "deletes": bool(deletes),
         "deleting": deletes,

@@ -53,7 +53,7 @@ class Deck:
     gravity : vector [m/s²]
     dt : time step [s]; steps : number of steps, None: by hand as many as asked for, and kncal drives it as a library
     interval : steps in an interval of a run of many particles, at whose ends walls change; time : that at which the
-        deck begins, of a run that goes on [s]; inserted : number of particles that each stream has brought by then
+        deck begins, of a run that goes on [s]
     frames_every : steps between frames of a run of many particles by hand
     thermo_every : steps between lines of the log
     start : Particles; None: from the file `RESTART`
@@ -81,7 +81,6 @@ class Deck:
     steps: int | None = None
     interval: int = 0
     time: float = 0.0
-    inserted: Sequence[int] = ()
     frames_every: int = 0
     thermo_every: int = 1000
     start: Particles | None

@@ -19,8 +19,6 @@ from kncal.scene.walls import PlaneWall
 
 #: LIGGGHTS takes primes above 10 000 as seeds, and different ones.
 LEAST_SEED, MOST_SEED = 100_000, 100_000_000
-#: Rounds of new seeds of a stream: at each checkpoint it is made anew.
-_ROUNDS = 1_000_000
 
 
 def primes(seed: Sequence[int], count: int) -> list[int]:
@@ -61,8 +59,8 @@ class DeckStream:
     place : of the stream among those of the scene, from 1
     sizes : of its particles
     region : where they appear
-    total : number of them; mass : mean of a particle [kg]; rate [kg/s]; velocity [m/s]
-    first : step of the first insertion; every : steps from one to the next
+    total : number of them; rate [kg/s]; velocity [m/s]
+    first : step of the first insertion; every : steps from one to the next; each : mean number that one brings
     seed : the user's
     """
 
@@ -71,11 +69,11 @@ class DeckStream:
     sizes: tuple[SizeOf, ...]
     region: BoxRegion | CylinderRegion
     total: int
-    mass: float
     rate: float
     velocity: Vector
     first: int
     every: int
+    each: float
     seed: int
 
     @property
@@ -83,41 +81,66 @@ class DeckStream:
         """Id of the command that inserts."""
         return f"stream_{self.place}"
 
-    def lines(self, round_: int = 0, inserted: int = 0, step: int = 0) -> list[str]:
-        """Return the commands that make the stream after ``step``, when ``inserted`` of it are there already.
-
-        A restart does not hold all of a stream's random numbers, so at each checkpoint it is made anew, with the seeds
-        of another ``round_``.
-        """
-        region, distribution, insertion, *seeds = primes((self.seed, self.place, round_ % _ROUNDS), 3 + len(self.sizes))
-        ids = [f"size_{self.place}_{i}" for i, _ in enumerate(self.sizes, start=1)]
-        lines = [f"region        {self.fix} {self._region} units box seed {region}"]
-        lines += [
+    def lines(self, *, by_hand: bool) -> list[str]:
+        """Return the commands of the stream: by hand LIGGGHTS inserts by itself, else kncal asks for it each time."""
+        region, distribution, insertion, *seeds = primes((self.seed, self.place), 3 + len(self.sizes))
+        lines = [
             f"fix           {name} all particletemplate/sphere {seed} atom_type {size.kind + 1} "
             f"density constant {number(size.density)} radius constant {number(size.radius)}"
-            for name, seed, size in zip(ids, seeds, self.sizes, strict=True)
+            for name, seed, size in zip(self._templates, seeds, self.sizes, strict=True)
         ]
-        shares = " ".join(f"{name} {number(size.share)}" for name, size in zip(ids, self.sizes, strict=True))
-        lines.append(
-            f"fix           sizes_{self.place} all particledistribution/discrete/numberbased {distribution} "
-            f"{len(ids)} {shares}"
-        )
-        if inserted < self.total:
-            gone = max(0, math.ceil((step + 1 - self.first) / self.every))
-            velocity = " ".join(map(number, self.velocity))
-            lines.append(
-                f"fix           {self.fix} all insert/rate/region seed {insertion} "
-                f"distributiontemplate sizes_{self.place} nparticles {self.total - inserted} "
-                f"massrate {number(self.rate)} insert_every {self.every} start {self.first + gone * self.every} "
-                f"overlapcheck yes all_in yes random_distribute exact vel constant {velocity} region {self.fix}"
-            )
+        lines += self._source(region, distribution)
+        if by_hand:
+            rate = f"massrate {number(self.rate)} insert_every {self.every} start {self.first}"
+            lines.append(self._insertion(insertion, self.total, rate))
         return lines
 
-    def off_lines(self, inserted: int) -> list[str]:
-        """Return the commands that take away the stream that was made when ``inserted`` of it were there."""
-        ids = [f"size_{self.place}_{i}" for i, _ in enumerate(self.sizes, start=1)]
-        fixes = [*([self.fix] if inserted < self.total else []), f"sizes_{self.place}", *ids]
-        return [f"unfix         {name}" for name in fixes] + [f"region        {self.fix} delete"]
+    def number_by(self, step: int) -> int:
+        """Return how many particles have come when ``step`` is done."""
+        return min(self.total, round(max(0, (step - self.first) // self.every + 1) * self.each))
+
+    def insert_lines(self, step: int, dt: float, *, again: bool) -> list[str]:
+        """Return the commands that insert in the step after ``step``, of ``dt`` [s], what is due there.
+
+        No restart holds all random numbers of a stream, so that each insertion is made of new ones. ``again``: there
+        was an insertion before. Empty if nothing is due.
+        """
+        due = self.number_by(step + 1) - self.number_by(step)
+        if not due:
+            return []
+        region, distribution, insertion = primes((self.seed, self.place, step + 1), 3)
+        off = [*([self.fix] if again else []), f"sizes_{self.place}"]
+        # Half a particle more, so that LIGGGHTS' random rounding reaches the number that it may not exceed.
+        rate = f"particlerate {number((due + 0.5) / (self.every * dt))} insert_every {self.every} start {step + 1}"
+        return [
+            *(f"unfix {name}" for name in off),
+            f"region {self.fix} delete",
+            *self._source(region, distribution),
+            self._insertion(insertion, due, rate),
+        ]
+
+    @property
+    def _templates(self) -> list[str]:
+        return [f"size_{self.place}_{i}" for i, _ in enumerate(self.sizes, start=1)]
+
+    def _source(self, region: int, distribution: int) -> list[str]:
+        """Where the particles appear, and which, with two seeds."""
+        shares = " ".join(
+            f"{name} {number(size.share)}" for name, size in zip(self._templates, self.sizes, strict=True)
+        )
+        return [
+            f"region        {self.fix} {self._region} units box seed {region}",
+            f"fix           sizes_{self.place} all particledistribution/discrete/numberbased {distribution} "
+            f"{len(self.sizes)} {shares}",
+        ]
+
+    def _insertion(self, seed: int, most: int, rate: str) -> str:
+        velocity = " ".join(map(number, self.velocity))
+        return (
+            f"fix           {self.fix} all insert/rate/region seed {seed} distributiontemplate sizes_{self.place} "
+            f"nparticles {most} {rate} overlapcheck yes all_in yes random_distribute exact "
+            f"vel constant {velocity} region {self.fix}"
+        )
 
     @property
     def _region(self) -> str:
@@ -157,11 +180,11 @@ def deck_streams(plan: Plan) -> list[DeckStream]:
                 ),
                 region=group.region,
                 total=total,
-                mass=mass,
                 rate=group.rate,
                 velocity=group.velocity,
                 first=1 + round(when(group.start, plan.coupling) / plan.dt),
                 every=intervals * plan.steps_per_coupling,
+                each=group.rate * intervals * plan.coupling / mass,
                 seed=group.seed,
             )
         )

@@ -7,7 +7,6 @@ name, and nothing is left when either side is gone. No wait is without a limit.
 from __future__ import annotations
 
 import json
-import math
 import mmap
 import os
 import shutil
@@ -19,16 +18,14 @@ from typing import Any
 
 import numpy as np
 
-from kncal.core.arrays import read_npz
 from kncal.core.checks import Array
 from kncal.core.disk import blame
-from kncal.core.errors import InputError, ReadError, RunError, SolverMissingError
+from kncal.core.errors import InputError, RunError, SolverMissingError
 from kncal.core.process import ProcessResult, signal_name, solver_environment
 from kncal.core.solver_process import PeerLostError, SolverProcess
 from kncal.engines.liggghts.c_library import LIBRARY
 from kncal.engines.liggghts.deck import DECK, RESTART, bed_deck, deck_context, write_deck
 from kncal.engines.liggghts.deck_description import Deck
-from kncal.engines.liggghts.deck_flow import deck_streams
 from kncal.engines.liggghts.deck_walls import change_lines, change_times
 from kncal.engines.liggghts.impacts import Surface, speed_edges
 from kncal.engines.liggghts.library_child import SAVED_FORCES, VARIABLE
@@ -48,7 +45,6 @@ _START_LIMIT = 120.0  # s: deck, neighbour lists, and a machine that is busy wit
 _RUN_LIMIT = 10.0  # s, of any run; and
 _STEP_LIMIT = 2e-5  # s per particle and step, a hundred times what one takes
 _SAVE_LIMIT = 300.0  # s, for slow disks
-_MOST_SAVED = 1 << 30  # bytes of saved forces
 
 
 class LiggghtsDem:
@@ -96,24 +92,22 @@ class LiggghtsDem:
         scene = model.scene
         self.histogram_edges = histogram_edges(scene.d_min)
         self.impact_edges = speed_edges()
-        self.walls = () if scene.gas else tuple(scene.walls)
+        self.walls = () if scene.run.coupling is not None else tuple(scene.walls)
         self._plan, self._folder = model, folder
         self._plane = middle(scene) if scene.layer else None
         self._cpu = 0.0
         self._step = first * model.steps_per_coupling
-        self._inserted, self._left = [0] * len(deck_streams(model)), 0
         folder.mkdir(parents=True, exist_ok=True)
         if restart is not None:
             for name in SAVED:
                 _copy_saved(restart / name, folder / name)
-            self._inserted = _brought(folder / SAVED_FORCES, len(self._inserted))
-            self._deck = bed_deck(model, time=first * model.coupling, inserted=self._inserted)
+            self._deck = bed_deck(model, time=first * model.coupling)
         elif start is not None:
             _check_start(scene, start)
             self._deck = bed_deck(model, start)
         else:
             raise InputError("start: None, expected particles, or a restart folder")
-        self._made = list(self._inserted)
+        self._flowing: set[str] = set()
         write_deck(self._deck, folder)
         sizes = Sizes(scene.number, len(tuple(model.species.pairs())), len(self.walls), HEIGHTS)
         arguments = _arguments(model, self._deck, sizes) | {"saved": SAVED_FORCES if restart else ""}
@@ -185,6 +179,7 @@ class LiggghtsDem:
             shared.force[:] = given
             if self._plane is not None:
                 shared.force[:, 1] = 0.0
+        self._insert()
         request = {"do": "run", "steps": steps, "with_force": force is not None}
         answer = self._ask(request, _RUN_LIMIT + _STEP_LIMIT * steps * (len(shared.x) + 100), steps)
         return DemStep(
@@ -201,6 +196,16 @@ class LiggghtsDem:
             out_mass=np.array(answer["out_mass"], dtype=np.float64),
             wall_force=shared.wall_force.copy(),
         )
+
+    def _insert(self) -> None:
+        """Let those streams bring particles in the next step that are due then."""
+        lines = []
+        for stream in self._deck.streams:
+            found = stream.insert_lines(self._step, self._plan.dt, again=stream.fix in self._flowing)
+            self._flowing |= {stream.fix} if found else set()
+            lines += found
+        if lines:
+            self._ask({"do": "change", "commands": lines, "walls": {}}, _START_LIMIT, 0)
 
     def end_interval(self, number: int) -> None:
         """Carry out what happens to walls at the end of interval ``number``."""
@@ -233,13 +238,7 @@ class LiggghtsDem:
         was never saved differs at most by rounding, from particles brought back into a periodic box (1e-13 m after
         40 couplings); without periodic sides it was found to be the same, too.
         """
-        number = self._step // self._plan.steps_per_coupling
-        before, after = [], []
-        for stream, made, now in zip(self._deck.streams, self._made, self._inserted, strict=True):
-            before += stream.off_lines(made)
-            after += stream.lines(number, now, self._step)
-        self._ask({"do": "save", "before": before, "after": after}, _SAVE_LIMIT, 0)
-        self._made = list(self._inserted)
+        self._ask({"do": "save"}, _SAVE_LIMIT, 0)
         folder.mkdir(parents=True, exist_ok=True)
         for name in SAVED:
             shutil.move(self._folder / name, folder / name)
@@ -285,12 +284,19 @@ class LiggghtsDem:
         shared = self._open()
         problem, failure = "", "solver-error"
         begin = len(shared.x) - sum(stream.total for stream in self._deck.streams)
-        come, gone = sum(answer["inserted"]), answer["deleted"]
-        if answer["count"] != begin + come - gone:
-            problem = f"{answer['count']} particles are there, expected {begin + come - gone} ({begin} at the start, {come} inserted, {gone} deleted at outlets): some left the domain"
+        due = begin + sum(stream.number_by(answer["step"]) for stream in self._deck.streams)
+        if answer["come"] < due:
+            problem = (
+                f"{answer['come'] - begin} particles were inserted, expected {due - begin} by now: the region of a "
+                "stream is too full; expected a larger region, a faster stream or a smaller rate"
+            )
             failure = "lost-particles"
-        elif late := self._late(answer["inserted"], answer["step"]):
-            problem, failure = late, "lost-particles"
+        elif answer["count"] != due - answer["deleted"]:
+            problem = (
+                f"{answer['count']} particles are left of {due}, and {answer['deleted']} passed outlets: some left "
+                "the domain elsewhere"
+            )
+            failure = "lost-particles"
         elif steps is not None and answer["step"] != self._step + steps:
             problem = f"it stopped at step {answer['step']}, expected {self._step + steps}: was it sent a signal?"
         elif not all(np.isfinite(part[shared.kind >= 0]).all() for part in (shared.x, shared.v)):
@@ -298,24 +304,10 @@ class LiggghtsDem:
             failure = "not-finite"
         elif not answer["in_plane"]:
             problem = f"particles move or spin out of the plane y = {self._plane!r} m of the layer"
-        self._step, self._inserted, self._cpu = answer["step"], answer["inserted"], answer["cpu"]
+        self._step, self._cpu = answer["step"], answer["cpu"]
         if problem:
             self._process.kill()
             raise RunError(f"LIGGGHTS: {problem}; log: {self._log}", failure)
-
-    def _late(self, inserted: Sequence[int], step: int) -> str:
-        """Say which stream has brought fewer particles than it should by now; LIGGGHTS only warns of that."""
-        for stream, now in zip(self._deck.streams, inserted, strict=True):
-            times = max(0, (step - stream.first) // stream.every + 1)
-            each = stream.rate * stream.every * self._plan.dt / stream.mass
-            # each time it is rounded up or down at random, to half a particle at a time
-            expected = min(times * each, stream.total)
-            if now < expected - 1.0 - 2.0 * math.sqrt(times):
-                return (
-                    f"particles.{stream.name}: {now} particles were inserted, expected {expected:.0f} by now: its "
-                    "region is too full: expected a larger region, a higher velocity, or a smaller rate"
-                )
-        return ""
 
     def _failure(self, ended: ProcessResult) -> RunError:
         how = f"ended with exit code {ended.returncode}"
@@ -331,14 +323,6 @@ class LiggghtsDem:
             text, failure = f"particles left the column (its counts mean nothing): {text}", "lost-particles"
         failure, text = blame(failure, f"LIGGGHTS {how}: {text}; log: {self._log}", self._folder)
         return RunError(text, failure)
-
-
-def _brought(path: Path, streams: int) -> list[int]:
-    """Return how many particles each stream had brought when a state was saved."""
-    found = read_npz(path, _MOST_SAVED, ["inserted"])["inserted"]
-    if found.shape != (streams,):
-        raise ReadError(f"{path}: {found.shape} numbers of inserted particles, expected {streams}")
-    return [int(number) for number in found]
 
 
 def _arguments(model: Plan, deck: Deck, sizes: Sizes) -> dict[str, object]:
@@ -362,7 +346,7 @@ def _arguments(model: Plan, deck: Deck, sizes: Sizes) -> dict[str, object]:
         "floor": deck.has_floor,
         "outlets": [(outlet.fix, outlet.deletes) for outlet in deck.outlets],
         "deletes": any(outlet.deletes for outlet in deck.outlets),
-        "streams": [stream.fix for stream in deck.streams],
+        "flows": bool(deck.outlets or deck.streams),
     }
 
 

@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kncal.core.checks import Array
 from kncal.core.solver_process import MAX_MESSAGE
@@ -37,6 +36,7 @@ from kncal.engines.liggghts.impacts import (
     pair_speeds,
     wall_speeds,
 )
+from kncal.engines.liggghts.rows import Rows, inverse
 from kncal.engines.liggghts.shared import BINS_PER_DECADE, DECADES, Shared, Sizes
 
 #: Environment variable with the numbers of the inherited socket and memory.
@@ -58,7 +58,7 @@ class Child:
     def __init__(self, lib: Library, shared: Shared, given: dict[str, Any]) -> None:
         self.lib, self.shared, self.given = lib, shared, given
         self._up, self._periods = np.array(given["up"]), given["periods"]
-        self._rows = _Rows(len(shared.x))
+        self._rows = Rows(len(shared.x))
         self._tally = _Tally(given["pairs"], given["kinds"])
         saved = str(given["saved"])
         deck = Path(str(given["deck"]))
@@ -75,7 +75,6 @@ class Child:
         # The deck ended with the forces of the start; a first force from the gas is added by hand (see `run`).
         self._fresh = not saved
         self._out = np.zeros((len(given["outlets"]), 3))
-        self._inserted = np.zeros(len(given["streams"]))
         if saved:
             with np.load(saved, allow_pickle=False) as state:
                 self._put(state)
@@ -83,7 +82,6 @@ class Child:
                 self._rows.load(state["row_of_id"], int(state["next_row"]))
                 # A restart brings back some of an outlet's numbers, not all.
                 self._out = state["out"] - self._passed()
-                self._inserted = state["inserted"]
         self.publish()
 
     def publish(self) -> dict[str, Any]:
@@ -96,7 +94,7 @@ class Child:
         ]
         if len(rows) == len(shared.x):
             # By the inverse of rows: to take rows of three is ten times quicker than to put them.
-            places = _inverse(rows, len(rows))
+            places = inverse(rows, len(rows))
             for vector, to in vectors:
                 vector.take(places, axis=0, out=to, mode="clip")
             kinds.take(places, out=shared.kind, mode="clip")
@@ -116,7 +114,7 @@ class Child:
             "count": len(rows),
             "step": self.lib.step,
             "in_plane": self.given["plane"] is None or self._in_plane(float(self.given["plane"])),
-            "inserted": self._come().astype(int).tolist(),
+            "come": self._rows.come,
             "out_number": passed[:, 0].round().astype(int).tolist(),
             "out_mass": passed[:, 1].tolist(),
             "deleted": int(passed[:, 2].sum().round()),
@@ -170,7 +168,7 @@ class Child:
         gain = (self._momentum() - momentum) / (steps * float(self.given["dt"]))
         weight = float(self.given["gravity"]) * self.lib.whole(self.lib.masses).sum()
         others = gain + weight - gas
-        if self.given["outlets"] or self.given["streams"]:
+        if self.given["flows"]:
             others = float("nan")  # particles that come and go bring momentum, and take it along
         if not self.given["floor"]:
             return {"floor": float("nan"), "other_walls": others}
@@ -182,9 +180,9 @@ class Child:
         return {"floor": floor, "other_walls": others - floor}
 
     def change(self, commands: Sequence[str], walls: Mapping[str, Any]) -> dict[str, Any]:
-        """Carry out commands that change walls, at the end of an interval; forces and motion stay as they are.
+        """Carry out commands between two intervals; forces and motion stay as they are.
 
-        ``walls``: what is then to be known of them.
+        ``walls``: what is then to be known of walls, if they change.
         """
         forces, tables = self._forces(), [line for line in self._tables if "unfix meshes" in map(_plain, commands)]
         for line in reversed(tables):
@@ -198,12 +196,11 @@ class Child:
         self._put(forces)
         return {}
 
-    def save(self, before: Sequence[str], after: Sequence[str]) -> dict[str, Any]:
+    def save(self) -> dict[str, Any]:
         """Write the state: LIGGGHTS' restart with the contact history, and the forces of the last step.
 
         A restart alone is set up with forces that LIGGGHTS computes anew, with other velocities than a run does.
-        Writing it sorts the particles anew, so this process goes on exactly as the one that will read it. The commands
-        ``before`` and ``after`` take streams off and make them anew: no restart holds all of their random numbers.
+        Writing it sorts the particles anew, so this process goes on exactly as the one that will read it.
         """
         row_of_id, next_row = self._rows.state
         state = self._forces() | {
@@ -211,15 +208,12 @@ class Child:
             "row_of_id": row_of_id,
             "next_row": np.array(next_row),
             "out": self._out + self._passed(),
-            "inserted": self._come(),
         }
         if self.lib.rank == 0:
             np.savez(SAVED_FORCES, **state)  # type: ignore[arg-type]  # the stubs mistake the names for options
-        for command in (*before, "write_restart particles.restart", *after):
-            self.lib.command(command)
+        self.lib.command("write_restart particles.restart")
         self.lib.command("run 0 post no")
         self._put(state)
-        self._inserted = state["inserted"]
         return {}
 
     def _looks(self, steps: int) -> Iterator[Array]:
@@ -263,7 +257,7 @@ class Child:
             push=lib.whole(lib.vectors("f") / lib.masses[:, None]),
             radius=lib.whole(lib.radii.copy()),
             kind=lib.whole(lib.kinds),
-            row=_inverse(lib.whole(lib.ids), len(self.shared.x)),
+            row=inverse(lib.whole(lib.ids), len(self.shared.x)),
         )
         return before, lib.wall_contacts().copy() if self.given["meshes"] else np.empty((0, 0))
 
@@ -309,10 +303,6 @@ class Child:
         for name in ("f", "torque"):
             self.lib.vectors(name)[:] = forces[name][ids]
 
-    def _come(self) -> Array:
-        """Return how many particles each stream has brought; the fix of a stream knows those since it was made."""
-        return self._inserted + [self.lib.number(fix, 0) for fix in self.given["streams"]]
-
     def _passed(self) -> Array:
         """Return what each outlet counts: number and mass [kg] that passed it, and number that was deleted there."""
         found = [[self.lib.number(fix, place) for place in (1, 0, 5)] for fix, _ in self.given["outlets"]]
@@ -338,43 +328,6 @@ class Child:
             place = np.floor((np.log10(overlaps / float(self.given["d_min"])) + DECADES) * BINS_PER_DECADE) + 1.0
         last = DECADES * BINS_PER_DECADE
         return np.bincount(np.clip(place, 0, last).astype(np.intp), minlength=last + 1).astype(np.float64)
-
-
-class _Rows:
-    """Rows of the callers' arrays by id: a new id gets the next row, one that was gone before is another particle's."""
-
-    def __init__(self, most: int) -> None:
-        self._most, self._next = most, 0
-        self._row_of_id = np.full(most, -1)
-
-    @property
-    def full(self) -> bool:
-        """Whether more particles came than there are rows."""
-        return self._next > self._most
-
-    @property
-    def state(self) -> tuple[NDArray[np.int64], int]:
-        """What `load` takes."""
-        return self._row_of_id, self._next
-
-    def load(self, row_of_id: NDArray[np.int64], following: int) -> None:
-        """Go on as another one would."""
-        self._row_of_id[:], self._next = row_of_id, following
-
-    def __call__(self, ids: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Return the rows of the particles that are there now, by their ids less 1."""
-        if len(ids) == self._most == self._next:
-            return self._row_of_id[ids]
-        there = np.zeros(max(self._most, int(ids.max(initial=-1)) + 1), dtype=bool)
-        there[ids] = True
-        if len(there) > self._most:
-            self._next = self._most + 1
-            return ids
-        self._row_of_id[~there] = -1
-        new = np.flatnonzero(there & (self._row_of_id < 0))
-        self._row_of_id[new] = self._next + np.arange(len(new))
-        self._next += len(new)
-        return self._row_of_id[ids]
 
 
 class _Tally:
@@ -403,13 +356,6 @@ def _add_by_height(to: Array, edges: Array, heights: Array, force: Array) -> Non
 
 def _plain(command: str) -> str:
     return " ".join(command.split())
-
-
-def _inverse(rows: NDArray[np.intp], most: int) -> NDArray[np.intp]:
-    """Return the row of LIGGGHTS for each of ``most`` rows of the callers' arrays, -1 where there is none."""
-    places = np.full(most, -1)
-    places[rows] = np.arange(len(rows))
-    return places
 
 
 def split(steps: int, parts: int) -> list[int]:
