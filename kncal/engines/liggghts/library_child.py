@@ -389,10 +389,11 @@ def main(arguments: list[str]) -> None:
     channel, memory = None, mmap.mmap(-1, sizes.bytes)
     if library.ranks > 1 and library.rank == 0:
         name, path = os.environ[VARIABLE].split()
-        channel = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        channel.connect(f"\0{name}")
+        # Before the parent, which waits for the connection, closes it.
         with Path(path).open("r+b") as file:
             memory = mmap.mmap(file.fileno(), sizes.bytes)
+        channel = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        channel.connect(f"\0{name}")
     elif library.ranks == 1:
         number, descriptor = map(int, os.environ[VARIABLE].split())
         channel, memory = socket.socket(fileno=number), mmap.mmap(descriptor, sizes.bytes)
