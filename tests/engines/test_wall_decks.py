@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from granular import G, driven_text, frames, placed, plan_of, run_by_hand, start_at, table
 
 from kncal.core.checks import Array
-from kncal.engines.liggghts.deck import bed_deck
+from kncal.engines.liggghts.deck import bed_deck, write_deck
 from kncal.engines.liggghts.deck_walls import DeckWall
 from kncal.scene.wall_motion import pose, when
 
@@ -230,3 +231,30 @@ def test_a_frozen_particle_stays_and_is_infinitely_heavy_to_others(kind: str, tm
     rows = list(frames(tmp_path).values())[-1]
     assert rows[0, 3:9] == pytest.approx(np.zeros(6))
     assert rows[1, 8] == pytest.approx(0.5 * 0.5, rel=0.01)
+
+
+RAIN = """
+[particles.rain]
+material = "glass"
+diameter = 0.005
+place = "stream"
+count = 40
+rate = 0.02
+region = {low = [-0.02, -0.02, 0.08], high = [0.02, 0.02, 0.11]}
+[walls.plate]
+shape = "plate"
+corner = [-0.03, -0.03, 0.0]
+edge_1 = [0.06, 0.0, 0.0]
+edge_2 = [0.0, 0.06, 0.0]
+"""
+
+
+@pytest.mark.parametrize("by_hand", [True, False])
+def test_a_scene_begins_without_particles_where_all_flow_in(by_hand: bool, tmp_path: Path) -> None:
+    """Of a file without particles LIGGGHTS says that they have no ids; with a mesh it dies where it has no screen."""
+    model = plan_of(RAIN, until=0.5)
+    write_deck(bed_deck(model, start_at(model), by_hand=by_hand), tmp_path, steps=model.n_steps)
+    done = subprocess.run(["./Allrun"], cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr
+    left = (tmp_path / ("particles.dump" if by_hand else "settled.dump")).read_text().split("ITEM: NUMBER OF ATOMS")
+    assert int(left[-1].split()[0]) == 40
