@@ -240,10 +240,14 @@ diameter = 0.005
 place = "stream"
 count = 40
 rate = 0.02
-region = {low = [-0.02, -0.02, 0.08], high = [0.02, 0.02, 0.11]}
+region = {low = [-0.02, -0.02, 0.07], high = [0.02, 0.02, 0.1]}
+[walls.box]
+shape = "box"
+size = [0.05, 0.05, 0.11]
+low = [-0.025, -0.025, 0.0]
 [walls.plate]
 shape = "plate"
-corner = [-0.03, -0.03, 0.0]
+corner = [-0.03, -0.03, 0.01]
 edge_1 = [0.06, 0.0, 0.0]
 edge_2 = [0.0, 0.06, 0.0]
 """
