@@ -171,17 +171,16 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("cases", nargs="*", help="only those of these cases")
     parser.add_argument("--all", action="store_true", help="also the long ones")
     asked = parser.parse_args(arguments)
-    stored: dict[str, Any] = json.loads(STORE.read_text("utf-8")) if STORE.is_file() else {}
-    bad = 0
+    made: dict[str, Any] = {}
     for entry in ENTRIES:
         if entry.case in asked.cases or (not asked.cases and (asked.all or not entry.long)):
-            stored[entry.name] = item = result(entry)
+            made[entry.name] = item = result(entry)
             print(f"{item['verdict']:10} {item['shown']:>24}  {item['what']} ({item['model']})", flush=True)
-            bad += item["verdict"] in ("outside", "missing")
+    stored = (json.loads(STORE.read_text("utf-8")) if STORE.is_file() else {}) | made
     names = [entry.name for entry in ENTRIES]
     write_json(STORE, {name: stored[name] for name in names if name in stored})
     PAGE.write_text(_MARKED.sub(lambda m: f"{m[1]}{page(stored)}{m[2]}", PAGE.read_text("utf-8")), "utf-8")
-    return 1 if bad else 0
+    return 1 if any(item["verdict"] in ("outside", "missing") for item in made.values()) else 0
 
 
 if __name__ == "__main__":
