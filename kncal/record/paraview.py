@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
+from kncal.core.checks import Array
 from kncal.core.errors import InputError
 from kncal.core.files import write_text
 from kncal.record.series import BedSeries
+from kncal.scene.shapes import surface
 
 if TYPE_CHECKING:
     import pyvista
@@ -18,22 +21,31 @@ if TYPE_CHECKING:
     from kncal.record.frames import Trajectory
 
 
-def write_paraview(series: BedSeries, folder: Path) -> Path:
-    """Write every frame as files of particles (VTP) and, with gas, of its fields (VTI), and one collection of all.
+#: From a time [s] to the triangles (n, 3, 3) [m] of the walls that are there then, by name.
+WallsAt = Callable[[float], Mapping[str, Array]]
+#: Triangles of a wall, and the file that they were last written to.
+Written = tuple[Array, str]
 
-    Particles are points [m] with ``id`` (from 1), ``radius`` [m], ``velocity`` [m/s]; the gas fields are cell data
-    ``eps_g`` [-], ``p`` [Pa], ``U`` [m/s].
+
+def write_paraview(series: BedSeries, folder: Path, walls: WallsAt | None = None) -> Path:
+    """Write every frame as files of particles (VTP), walls (VTP) and, with gas, its fields (VTI); a collection of all.
+
+    Particles are points [m] with ``id`` (from 1), ``radius`` [m], ``velocity`` [m/s], ``spin`` [rad/s] and ``species``
+    (from 0); the gas fields are cell data ``eps_g`` [-], ``p`` [Pa], ``U`` [m/s].
 
     Parameters
     ----------
     series : BedSeries
     folder : Path
-        Gets ``bed.pvd``, ``particles/`` and ``gas/``; made if it is not there.
+        Gets ``bed.pvd``, ``particles/``, ``walls/`` and ``gas/``; made if it is not there.
+    walls : WallsAt, optional
+        A wall that stays as it is has one file for all times.
 
     Returns
     -------
     Path
-        The collection ``bed.pvd``: the file to open in ParaView. Block 0 holds the particles, block 1 the gas.
+        The collection ``bed.pvd``: the file to open in ParaView. Block 0 holds the particles, then come the gas and the
+        walls.
 
     Raises
     ------
@@ -50,14 +62,30 @@ def write_paraview(series: BedSeries, folder: Path) -> Path:
     if has_gas:
         (folder / "gas").mkdir(exist_ok=True)
     entries = []
+    written: dict[str, Written] = {}
     for frame, (time, coupling) in enumerate(zip(series.t_frame.tolist(), series.frame_coupling.tolist(), strict=True)):
         names = [f"particles/{coupling:09d}.vtp"]
         _particles(series, frame).save(folder / names[0])
         if has_gas:
             names.append(f"gas/{coupling:09d}.vti")
             _gas(series, frame).save(folder / names[1])
+        if walls is not None:
+            names += _walls(walls(time), folder, coupling, written)
         entries += [(time, part, name) for part, name in enumerate(names)]
     return _collection(folder / "bed.pvd", entries)
+
+
+def _walls(
+    surfaces: Mapping[str, Array], folder: Path, coupling: int, written: dict[str, tuple[Array, str]]
+) -> list[str]:
+    """Write the walls that are not as they were in the frame before; return the files of all of them."""
+    for name, triangles in surfaces.items():
+        if name not in written or not np.array_equal(written[name][0], triangles):
+            file = f"walls/{name}/{coupling:09d}.vtp"
+            (folder / "walls" / name).mkdir(parents=True, exist_ok=True)
+            surface(triangles).save(folder / file)
+            written[name] = triangles, file
+    return [written[name][1] for name in surfaces]
 
 
 def write_particles(trajectory: Trajectory, folder: Path, every: int = 1) -> Path:
@@ -117,12 +145,16 @@ def _collection(path: Path, entries: list[tuple[float, int, str]]) -> Path:
 def _particles(series: BedSeries, frame: int) -> pyvista.PolyData:
     import pyvista
 
-    if not series.facts.count:
+    kind = series.kind[frame]
+    there = np.flatnonzero(kind >= 0)
+    if not len(there):
         return pyvista.PolyData()  # which takes no arrays of no values
-    points = pyvista.PolyData(np.array(series.x[frame]))
-    points.point_data["id"] = np.arange(1, series.facts.count + 1)
-    points.point_data["radius"] = np.full(series.facts.count, 0.5 * series.facts.diameter)
-    points.point_data["velocity"] = series.v[frame]
+    points = pyvista.PolyData(np.array(series.x[frame])[there])
+    points.point_data["id"] = there + 1
+    points.point_data["radius"] = np.array(series.facts.radii)[kind[there]]
+    points.point_data["species"] = kind[there]
+    points.point_data["velocity"] = series.v[frame][there]
+    points.point_data["spin"] = series.spin[frame][there]
     return points
 
 

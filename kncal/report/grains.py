@@ -16,8 +16,7 @@ from kncal.report import grain_plots
 from kncal.report.page import Figure, Section
 from kncal.report.particle_picture import Panel, draw_particles
 from kncal.report.style import Album, model_name
-from kncal.scene.shapes import faces
-from kncal.scene.wall_motion import pose
+from kncal.report.tables import wall_surfaces
 
 #: Title -> (name of its picture, how it is drawn, what to look at, what a blind reader is told).
 _PARTS: Mapping[str, tuple[str, Callable[[grain_plots.GrainRuns], Any], str, str]] = {
@@ -124,12 +123,5 @@ def _panel(kind: str, seen: GrainObservations, several: bool, sizes: bool) -> Pa
 
 def _walls(seen: GrainObservations, t: float) -> Array:
     """Return the triangles (m, 3, 3) of the walls that are there at ``t`` [s], where they are then."""
-    scene, space = seen.scene, seen.space
-    extent, interval = (np.asarray(space.low), np.asarray(space.high)), seen.series.facts.coupling
-    found = [np.zeros((0, 3, 3))]
-    for wall in scene.walls.values():
-        if wall.remove_at is not None and wall.remove_at <= t:
-            continue
-        triangles = faces(wall, path_of=scene.path_of, extent=extent, radius=0.5 * scene.d_min)
-        found.append(pose(wall.motion, t, interval).placed(triangles.reshape(-1, 3)).reshape(-1, 3, 3))
-    return np.concatenate(found)
+    found = wall_surfaces(seen.scene, seen.series.facts.coupling, t)
+    return np.concatenate([np.zeros((0, 3, 3)), *found.values()])

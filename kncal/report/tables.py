@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 from kncal.core.files import write_csv
 from kncal.observe.run_data import RunData
 from kncal.record.paraview import write_paraview, write_particles
+from kncal.scene.scene import Scene
+from kncal.scene.wall_motion import Surfaces, walls_at
 
 #: Frames for ParaView are thinned to about this many files.
 PARAVIEW_FRAMES = 500
@@ -45,10 +48,26 @@ def export_tables(data: RunData) -> tuple[Path, Path]:
     return contacts, overlaps
 
 
+def wall_surfaces(scene: Scene, interval: float, time: float) -> Surfaces:
+    """Return the triangles (n, 3, 3) [m] of the walls of a scene that are there at ``time`` [s], where they are then.
+
+    ``interval`` [s]: what happens to walls does so at the ends of intervals.
+    """
+    return walls_at(
+        scene.walls,
+        time,
+        interval,
+        path_of=scene.path_of,
+        extent=scene.extent,
+        radius=0.5 * scene.d_min,
+        open_axes=scene.open_axes,
+    )
+
+
 def export_paraview(data: RunData) -> Path:
-    """Write ``paraview/particles.pvd`` with its VTP files into the run's folder; returns the file to open."""
+    """Write frames and walls for ParaView into the folder ``paraview`` of the run's; returns the file to open."""
     folder = data.result.folder / "paraview"
     if data.signals is not None:
-        return write_paraview(data.signals, folder)
+        return write_paraview(data.signals, folder, partial(wall_surfaces, data.model.scene, data.model.coupling))
     every = max(1, -(-data.trajectory.step.size // PARAVIEW_FRAMES))
     return write_particles(data.trajectory, folder, every)

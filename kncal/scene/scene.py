@@ -28,7 +28,6 @@ from kncal.scene.gas import Gas
 from kncal.scene.groups import AT_REST, DomainBox, ObserveChoice, Outlet, Particles
 from kncal.scene.population import FromFile, SizeClass, from_file, number_of
 from kncal.scene.run_control import RunControl
-from kncal.scene.shapes import bounds_of
 from kncal.scene.sizes import Classes, classes, counts
 from kncal.scene.values import (
     Acceleration,
@@ -41,6 +40,7 @@ from kncal.scene.values import (
     Word,
     checked_class,
 )
+from kncal.scene.wall_motion import reach
 from kncal.scene.walls import WALLS, AnyWall, BoxWall, MeshWall, PlaneWall
 
 #: Most walls and outlets of a scene.
@@ -359,11 +359,17 @@ class Scene:
         """Unit vector against gravity; z without gravity."""
         return np.array([0.0, 0.0, 1.0]) if not self.g else -np.array(self.gravity) / self.g
 
+    @property
+    def open_axes(self) -> str:
+        """The axes on which a box has no sides: periodic ones, and a layer's; as "xy"."""
+        return "".join(self.periodic) + (self.layer or "")
+
     @cached_property
     def extent(self) -> Bounds:
-        """Lower and upper corner of the box that is simulated [m]: the domain's, or what walls and starts need."""
+        """Lower and upper corner of what is simulated [m]: the domain, or what walls, their ways and starts need."""
         domain = None if self.domain is None else (np.array(self.domain.low), np.array(self.domain.high))
-        things = [bounds_of(wall, self.path_of) for wall in self.walls.values()]
+        end, radius = self.run.until_time or 0.0, 0.5 * self.d_min
+        things = [reach(wall, end, path_of=self.path_of, radius=radius) for wall in self.walls.values()]
         things += [group.bounds for group in self.particles.values()]
         things += [(found.particles.x.min(axis=0), found.particles.x.max(axis=0)) for found in self.from_files.values()]
         things += [outlet.bounds for outlet in self.outlets.values()]

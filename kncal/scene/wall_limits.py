@@ -42,7 +42,7 @@ def walls(plan: Plan) -> Iterator[Finding]:
                 path_of=scene.path_of,
                 extent=scene.extent,
                 radius=0.5 * scene.d_min,
-                open_axes="".join(scene.periodic),
+                open_axes=scene.open_axes,
             )
         except (ReadError, CaseFileError) as error:
             yield Finding("mesh", "refuse", f"walls.{name}: {error}")

@@ -11,15 +11,19 @@ which LIGGGHTS makes of `fix move/mesh` in that order, but for errors of the ord
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 
 from kncal.core.checks import Array
 from kncal.scene.bodies import Vector
+from kncal.scene.shapes import Bounds, PathOf, bounds_of, faces
 from kncal.scene.walls import AnyMotion, Oscillation, Rotation, Translation, WallKeys
+
+#: Names and triangles (n, 3, 3) [m] of walls.
+Surfaces = dict[str, Array]
 
 #: A time this near below the end of an interval, in intervals, is that end.
 _ROUNDING = 1e-6
@@ -163,6 +167,44 @@ def swept(wall: WallKeys, nodes: Array, end: float, interval: float = 0.0) -> tu
     low = np.where(low < first - rounding, low - _MISSED * (high - low), first)
     high = np.where(high > last + rounding, high + _MISSED * (high - low), last)
     return low, high
+
+
+def reach(wall: WallKeys, end: float, *, path_of: PathOf, radius: float) -> Bounds:
+    """Return the lower and the upper corner of all places of a wall up to ``end`` [s] [m].
+
+    They are infinite where it has no end. ``radius``: of the smallest particle [m], see `kncal.scene.shapes.faces`.
+    """
+    low, high = bounds_of(wall, path_of)
+    finite = np.isfinite(low) & np.isfinite(high)
+    if not wall.motion:
+        return low, high
+    if finite.all():
+        return swept(wall, faces(wall, path_of=path_of, radius=radius), end)
+    box = np.array(list(product(*np.where(finite, (low, high), 0.0).T)))
+    far = swept(wall, box, end)
+    return np.where(finite, far[0], low), np.where(finite, far[1], high)
+
+
+def walls_at(
+    walls: Mapping[str, WallKeys],
+    time: float,
+    interval: float,
+    *,
+    path_of: PathOf,
+    extent: Bounds,
+    radius: float,
+    open_axes: str = "",
+) -> Surfaces:
+    """Return the triangles of the walls that are there at ``time`` [s], where they are then.
+
+    ``interval`` [s]: changes are at the ends of intervals; the rest as `kncal.scene.shapes.faces` takes it.
+    """
+    found = {}
+    for name, wall in walls.items():
+        if wall.remove_at is None or when(wall.remove_at, interval) > time:
+            own = faces(wall, path_of=path_of, extent=extent, radius=radius, open_axes=open_axes)
+            found[name] = pose(wall.motion, time, interval).placed(own)
+    return found
 
 
 def _corners(nodes: Array, motions: Sequence[AnyMotion]) -> Array:

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from kncal.core.errors import InputError, ReadError
 from kncal.record.frames import Trajectory
-from kncal.record.paraview import write_particles
+from kncal.record.paraview import write_paraview, write_particles
 from kncal.scene.meshes import read_mesh
+from kncal.scene.wall_motion import walls_at
+from kncal.scene.walls import DiscWall, PlateWall, Rotation
 
 pytestmark = pytest.mark.slow
 
@@ -133,3 +137,44 @@ def test_truncated_files_are_refused(tmp_path: Path, motion: Trajectory, part: f
 def test_missing_file(tmp_path: Path) -> None:
     with pytest.raises(ReadError, match="No such file"):
         read_mesh(tmp_path / "none.vtp")
+
+
+def test_walls_move_from_frame_to_frame_and_go_when_they_are_taken_away(tmp_path: Path) -> None:
+    """A plate turns by a quarter between frames, a disc stays and is taken away; particles that left are not drawn."""
+    import pyvista
+
+    plate = PlateWall(
+        shape="plate",
+        corner=(0.0, 0.0, 0.0),
+        edge_1=(1.0, 0.0, 0.0),
+        edge_2=(0.0, 0.0, 1.0),
+        motion=(Rotation(kind="rotate", axis=(0.0, 0.0, 1.0), period=4.0),),
+    )
+    disc = DiscWall(shape="disc", centre=(0.0, 0.0, -1.0), radius=1.0, remove_at=1.5)
+    far = np.array([-9.0, -9.0, -9.0]), np.array([9.0, 9.0, 9.0])
+    x = np.zeros((3, 2, 3))
+    x[2, 1] = np.nan
+    series: Any = SimpleNamespace(
+        facts=SimpleNamespace(radii=(0.5, 0.25)),
+        t_frame=np.array([0.0, 1.0, 2.0]),
+        frame_coupling=np.array([0, 1, 2]),
+        eps_g=(),
+        x=x,
+        v=x,
+        spin=x,
+        kind=np.array([[0, 1], [0, 1], [0, -1]], dtype=np.int16),
+    )
+    walls = {"plate": plate, "disc": disc}
+    path = write_paraview(series, tmp_path, lambda t: walls_at(walls, t, 0.5, path_of=Path, extent=far, radius=0.1))
+    reader = pyvista.get_reader(path)
+    ends = {0: [1.0, 0.0], 1: [0.0, 1.0], 2: [-1.0, 0.0]}
+    for number, end in ends.items():
+        reader.set_active_time_point(number)
+        blocks = reader.read()
+        particles, drawn = blocks[0], blocks[1]
+        np.testing.assert_allclose(
+            drawn.bounds[:4], np.sort([[0.0, end[0]], [0.0, end[1]]], axis=1).ravel(), atol=1e-12
+        )
+        assert blocks.n_blocks == (2 if number == 2 else 3)
+        np.testing.assert_array_equal(particles.point_data["radius"], [0.5] if number == 2 else [0.5, 0.25])
+    assert len(list((tmp_path / "walls" / "disc").iterdir())) == 1

@@ -126,12 +126,11 @@ def bed_deck(
     """
     scene = model.scene
     check_bed(model)
-    open_axes = "".join(scene.periodic) + (scene.layer or "")
     walls = deck_walls(
         scene.walls,
         model.species.index,
         extent=scene.extent,
-        open_axes=open_axes,
+        open_axes=scene.open_axes,
         radius=0.5 * scene.d_min,
         path_of=scene.path_of,
     )
