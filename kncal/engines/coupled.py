@@ -36,6 +36,7 @@ from kncal.engines.dpmfoam.live import LiveGas
 from kncal.engines.dpmfoam.programs import SOLVER
 from kncal.engines.dpmfoam.restart import RestartGas
 from kncal.engines.drive import drive
+from kncal.engines.liggghts.batch import PROGRAM
 from kncal.engines.liggghts.deck import DATA, DECK, bed_deck, write_deck
 from kncal.engines.liggghts.installed import look as look_for_liggghts
 from kncal.engines.liggghts.library import LiggghtsDem
@@ -75,7 +76,7 @@ def choose_transport(wanted: str) -> tuple[str, Path | None]:
 
 
 def check_bed_ranks(scene: Scene, ranks: int) -> None:
-    """Refuse several ranks for a bed whose particles move, or whose gas cannot be cut into so many parts.
+    """Refuse several ranks where gas moves particles, where nothing moves, or where there are not as many parts to cut.
 
     Raises
     ------
@@ -84,8 +85,10 @@ def check_bed_ranks(scene: Scene, ranks: int) -> None:
     """
     if ranks == 1:
         return
-    if not scene.drag:
-        raise InputError(f"ranks = {ranks}: only the gas of a bed is shared among ranks, and {scene.name} has none")
+    if scene.gas is None:
+        if not _moves(scene):
+            raise InputError(f"ranks = {ranks}: nothing moves in {scene.name}, so no work to share: expected 1")
+        return
     if _moves(scene):
         raise InputError(
             f"ranks = {ranks}: the particles of {scene.name} move, and such a bed runs on one rank: gas and particles "
@@ -133,9 +136,12 @@ class Coupled(Engine):
     ----------
     transport : "auto", "live" or "restart"
     ranks : int
-        Processes that share the gas; only for beds whose particles do not move (see `check_bed_ranks`).
+        Processes that share the particles of a scene without gas, or the gas of a bed whose particles do not move
+        (see `check_bed_ranks`).
     oversubscribe : bool
         Allow more ranks than cores.
+    gas : bool
+        Whether the scenes have gas; without, OpenFOAM is not needed.
 
     Raises
     ------
@@ -146,7 +152,10 @@ class Coupled(Engine):
     name = "coupled"
     written_by_run = (GAS, PARTICLES)
 
-    def __init__(self, transport: str = "auto", *, ranks: int = 1, oversubscribe: bool = False) -> None:
+    def __init__(
+        self, transport: str = "auto", *, ranks: int = 1, oversubscribe: bool = False, gas: bool = True
+    ) -> None:
+        self._has_gas = gas
         self.ranks, self.oversubscribe = check_ranks(ranks, oversubscribe=oversubscribe), oversubscribe
         if ranks > 1 and transport == "live":
             raise InputError(f"transport = 'live' with ranks = {ranks}: live has one gas solver; expected 'restart'")
@@ -155,14 +164,17 @@ class Coupled(Engine):
     def profile(self) -> Profile:
         """Look for both solvers on this machine."""
         liggghts, openfoam = found_once(look_for_liggghts, "liggghts"), found_once(look_for_openfoam, SOLVER)
-        missing = [f"{f.name} (found: {f.found}; {f.hint})" for f in (liggghts, openfoam) if not f.ok]
+        needed = (liggghts, openfoam) if self._has_gas else (liggghts,)
+        missing = [f"{f.name} (found: {f.found}; {f.hint})" for f in needed if not f.ok]
         missing += [NO_MPIRUN] if self.ranks > 1 and shutil.which(MPIRUN) is None else []
-        program = shutil.which(SOLVER)
+        program = shutil.which(SOLVER if self._has_gas else PROGRAM)
         return Profile(
             engine=self.name,
             program=None if missing or program is None else Path(program),
-            version=f"LIGGGHTS {liggghts.found}; OpenFOAM {openfoam.found}",
-            problem="" if not missing else f"a coupled bed needs {' and '.join(missing)}",
+            version=f"LIGGGHTS {liggghts.found}" + (f"; OpenFOAM {openfoam.found}" if self._has_gas else ""),
+            problem=""
+            if not missing
+            else f"{'a coupled bed' if self._has_gas else 'it'} needs " + " and ".join(missing),
         )
 
     def check(self, scene: Scene, *, by_hand: bool = False) -> None:
@@ -195,7 +207,8 @@ class Coupled(Engine):
             np.save(folder / POSITIONS, given.x, allow_pickle=False)
         if _moves(plan.scene):
             (folder / PARTICLES).mkdir()
-            write_deck(bed_deck(plan, given), folder / PARTICLES, steps=plan.n_steps if by_hand else 0)
+            alone = by_hand and plan.scene.run.coupling is None
+            write_deck(bed_deck(plan, given, by_hand=alone), folder / PARTICLES, steps=plan.n_steps if by_hand else 0)
         if (setup := gas_setup(plan)) is not None:
             case = folder / GAS
             if by_hand:
@@ -249,7 +262,7 @@ class Coupled(Engine):
                     sides.enter_context(_closing(gas))
                     if state is not None:
                         gas.load(state / GAS)
-                particles = _particles(plan, folder, _given(start), first, state, pass_fds)
+                particles = self._particles(plan, folder, _given(start), first, state, pass_fds)
                 sides.enter_context(_closing(particles))
                 cost = drive(
                     plan, particles, gas, folder, first=first, before=before, progress=progress, time_limit=timeout
@@ -269,23 +282,31 @@ class Coupled(Engine):
             return LiveGas(setup, folder / GAS, self._library, plan.scene.number, pass_fds=pass_fds)
         return RestartGas(setup, folder / GAS, ranks=self.ranks, oversubscribe=self.oversubscribe, pass_fds=pass_fds)
 
+    def _particles(
+        self, plan: Plan, folder: Path, start: Start, first: int, state: Path | None, pass_fds: Sequence[int]
+    ) -> ParticleSolver:
+        """Start the particles at ``start``, or at the ``state`` after coupling ``first``."""
+        if not _moves(plan.scene):
+            return Still(start.x, plan.scene.diameter)
+        at = None if state is None else state / PARTICLES
+        particles = LiggghtsDem(
+            plan,
+            folder / PARTICLES,
+            None if at else start,
+            restart=at,
+            first=first,
+            ranks=1 if plan.scene.gas else self.ranks,
+            oversubscribe=self.oversubscribe,
+            pass_fds=pass_fds,
+        )
+        if at is not None and particles.step != first * plan.steps_per_coupling:
+            particles.close()
+            raise ReadError(f"{at}: the state of step {particles.step}, not of coupling {first}; run it with --rerun")
+        return particles
+
 
 def _given(start: Start | None) -> Start:
     return Start.at(np.zeros((0, 3))) if start is None else start
-
-
-def _particles(
-    plan: Plan, folder: Path, start: Start, first: int, state: Path | None, pass_fds: Sequence[int]
-) -> ParticleSolver:
-    """Start the particles at ``start``, or at the ``state`` after coupling ``first``."""
-    if not _moves(plan.scene):
-        return Still(start.x, plan.scene.diameter)
-    at = None if state is None else state / PARTICLES
-    particles = LiggghtsDem(plan, folder / PARTICLES, None if at else start, restart=at, first=first, pass_fds=pass_fds)
-    if at is not None and particles.step != first * plan.steps_per_coupling:
-        particles.close()
-        raise ReadError(f"{at}: the state of step {particles.step}, not of coupling {first}; run it with --rerun")
-    return particles
 
 
 @contextmanager

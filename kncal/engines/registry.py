@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 from kncal.core.installed import Finding
 from kncal.core.registry import Registry
@@ -25,7 +26,7 @@ class EngineEntry:
     ----------
     name : as users choose it
     coupled : whether it solves scenes in which gas and particles exchange in intervals; else those of a few bodies
-    make : returns it; takes ``ranks``, ``oversubscribe`` and, if ``coupled``, ``transport``
+    make : returns it; takes ``ranks``, ``oversubscribe`` and, if ``coupled``, ``transport`` and ``gas``
     programs : each looks for a program that it needs on this machine
     """
 
@@ -46,10 +47,12 @@ ENGINES = Registry(
 )
 
 
-def get_engine(name: str, transport: str = "", *, ranks: int = 1, oversubscribe: bool = False) -> Engine:
+def get_engine(
+    name: str, transport: str = "", *, ranks: int = 1, oversubscribe: bool = False, gas: bool = True
+) -> Engine:
     """Return an engine by name, for runs on ``ranks`` ranks (see `kncal.core.mpi.check_ranks`).
 
-    ``transport``: of a coupled one ("": "auto").
+    ``transport``, ``gas``: of a coupled one ("": "auto"); whether its scenes have gas.
 
     Raises
     ------
@@ -57,7 +60,7 @@ def get_engine(name: str, transport: str = "", *, ranks: int = 1, oversubscribe:
         For an unknown name, or a number of ranks that cannot be.
     """
     entry = ENGINES.find(name)
-    given = {"transport": transport or "auto"} if entry.coupled else {}
+    given: dict[str, Any] = {"transport": transport or "auto", "gas": gas} if entry.coupled else {}
     return entry.make(ranks=ranks, oversubscribe=oversubscribe, **given)
 
 
@@ -78,4 +81,4 @@ def engine_for(
     """
     coupled = next(entry.name for entry in ENGINES.values() if entry.coupled)
     used = coupled if scene.coupled else name
-    return get_engine(used, transport, ranks=ranks, oversubscribe=oversubscribe)
+    return get_engine(used, transport, ranks=ranks, oversubscribe=oversubscribe, gas=scene.gas is not None)

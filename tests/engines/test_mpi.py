@@ -27,6 +27,7 @@ from kncal.core.mpi import check_fit, check_ranks, cores
 from kncal.core.scratch import hold
 from kncal.engines.coupled import Coupled, check_bed_ranks
 from kncal.engines.liggghts.batch import Liggghts
+from kncal.engines.liggghts.deck import parts_of
 from kncal.engines.registry import get_engine
 from kncal.record.frames import Trajectory
 from kncal.runs.folder import read_manifest
@@ -177,6 +178,20 @@ def test_runs_at_a_time_times_ranks_stay_within_the_cores(monkeypatch) -> None:
     assert check_fit(20, 1) == 20  # of one rank each: as ever, the user's choice
 
 
+@pytest.mark.parametrize(
+    ("size", "up", "ranks", "parts"),
+    [
+        ((1.0, 0.2, 5.0), (0.0, 0.0, 1.0), 2, (2, 1, 1)),  # not across the height, though it is the longest side
+        ((0.2, 1.0, 0.1), (0.0, 0.0, 1.0), 3, (1, 3, 1)),
+        ((1.0, 1.0, 1.0), (0.0, 0.0, 1.0), 4, (2, 2, 1)),
+        ((3.0, 0.1, 1.0), (0.4, 0.0, 0.9), 2, (2, 1, 1)),
+        ((1.0, 1.0, 0.5), (0.0, -1.0, 0.0), 1, (1, 1, 1)),
+    ],
+)
+def test_particles_are_shared_among_ranks_by_upright_cuts(size, up, ranks, parts) -> None:
+    assert parts_of(np.array(size), np.array(up), ranks) == parts
+
+
 def test_what_cannot_run_on_several_ranks_says_why() -> None:
     with pytest.raises(InputError, match="builtin computes in kncal's own process"):
         get_engine("builtin", ranks=2)
@@ -185,8 +200,9 @@ def test_what_cannot_run_on_several_ranks_says_why() -> None:
         check_bed_ranks(moving, 2)
     check_bed_ranks(moving, 1)
     check_bed_ranks(frozen, 2)
-    with pytest.raises(InputError, match="has none"):
-        check_bed_ranks(replace(without, gas=None), 2)
+    check_bed_ranks(replace(without, gas=None), 2)  # they share the particles
+    with pytest.raises(InputError, match="nothing moves"):
+        check_bed_ranks(replace(frozen, gas=None), 2)
     with pytest.raises(InputError, match="10 x 30 cells in x and z; expected at most 30"):
         check_bed_ranks(frozen, 31)
     with pytest.raises(InputError, match="live has one gas solver"):

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from kncal.core.checks import Array
 from kncal.core.shipped import folder as shipped_folder
 from kncal.core.templating import number, render
 from kncal.engines.liggghts.deck_checks import check_bed, check_model, check_run, check_start
@@ -109,6 +110,7 @@ def bed_deck(
     *,
     time: float = 0.0,
     by_hand: bool = False,
+    ranks: int = 1,
 ) -> Deck:
     """Describe the deck of a model of many particles, in intervals.
 
@@ -118,6 +120,7 @@ def bed_deck(
     start : the particles that are there at the start; None: from the file `RESTART`
     time : of a run that goes on [s]: what happened to walls until then is in force
     by_hand : whether the deck itself runs to the end, with what happens on the way; else kncal drives it
+    ranks : that share the particles
 
     Raises
     ------
@@ -148,6 +151,7 @@ def bed_deck(
         gas=scene.run.coupling is not None,
         box=_sides(box),
         periodic=periodic,
+        processors=parts_of(box[1] - box[0], scene.up, ranks),
         gravity=scene.gravity,
         dt=model.dt,
         steps=model.n_steps if by_hand else None,
@@ -160,6 +164,20 @@ def bed_deck(
         d_min=scene.d_min,
         bin_size=_bin_size(box, scene.d_max, SKIN * scene.d_min, scene.number),
     )
+
+
+def parts_of(size: Array, up: Array, ranks: int) -> tuple[int, int, int]:
+    """Return into how many parts a box of ``size`` (3,) [m] is cut on each axis, with the least area of cuts.
+
+    It is not cut across the axis along ``up``: particles lie below, and those above would have nothing to do.
+    """
+    whole = int(np.argmax(np.abs(up)))
+    one, two = (axis for axis in range(3) if axis != whole)
+    ways = [(n, ranks // n) for n in range(1, ranks + 1) if ranks % n == 0]
+    best = min(ways, key=lambda way: (way[0] - 1) * size[two] + (way[1] - 1) * size[one])
+    parts = [1, 1, 1]
+    parts[one], parts[two] = best
+    return parts[0], parts[1], parts[2]
 
 
 def _sides(box: Bounds) -> tuple[Side, Side, Side]:
@@ -236,6 +254,7 @@ def deck_context(deck: Deck) -> dict[str, object]:
         "frozen": [i for i, kind in enumerate(deck.types, start=1) if kind.held],
         "box": [list(side) for side in deck.box],
         "boundary": " ".join("p" if axis in deck.periodic else "m" if deck.grows else "f" for axis in "xyz"),
+        "processors": list(deck.processors),
         "skin": deck.skin,
         "few": deck.few,
         "bin": deck.bin_size,

@@ -49,6 +49,7 @@ class Deck:
     streams, outlets : where particles come and go
     gas : whether kncal puts forces on the particles
     box : lower and upper end on each axis [m]; periodic : the axes that are, as "y" or "xy"
+    processors : parts into which the box is cut on each axis, one for each rank
     grows : whether the box grows with the particles, so that none can leave it
     gravity : vector [m/s²]
     dt : time step [s]; steps : number of steps, None: by hand as many as asked for, and kncal drives it as a library
@@ -75,6 +76,7 @@ class Deck:
     gas: bool = False
     box: tuple[Side, Side, Side]
     periodic: str = ""
+    processors: tuple[int, int, int] = (1, 1, 1)
     grows: bool = False
     gravity: Vector
     dt: float

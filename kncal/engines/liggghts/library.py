@@ -101,10 +101,10 @@ class LiggghtsDem:
         if restart is not None:
             for name in SAVED:
                 _copy_saved(restart / name, folder / name)
-            self._deck = bed_deck(model, time=first * model.coupling)
+            self._deck = bed_deck(model, time=first * model.coupling, ranks=ranks)
         elif start is not None:
             _check_start(scene, start)
-            self._deck = bed_deck(model, start)
+            self._deck = bed_deck(model, start, ranks=ranks)
         else:
             raise InputError("start: None, expected particles, or a restart folder")
         self._flowing: set[str] = set()
