@@ -23,6 +23,8 @@ MAX_BYTES, MEMORY, SECONDS = 1024**3, 4 * 1024**3, 60
 #: Triangles of one wall; LIGGGHTS reads them in seconds.
 MOST_TRIANGLES = 1_000_000
 _VTK_TRIANGLE = 5
+#: Bytes of a binary STL file: its head with the number of triangles, and each triangle.
+_STL_HEAD, _STL_TRIANGLE = 84, 50
 
 #: XML by their name; a file may also begin with so many blanks that its first bytes do not show it.
 _XML_SUFFIXES = (".vtp", ".vtu", ".vts", ".vtr", ".vti", ".xdmf", ".xmf", ".svg", ".xml")
@@ -47,6 +49,8 @@ def read_mesh(path: Path) -> Any:
         a document type (which can blow up in memory, and which no mesh needs).
     """
     _refuse_unsafe(path)
+    if path.suffix.lower() == ".stl":
+        _refuse_cut_stl(path)
     try:
         ask("kncal.scene.meshes", str(path.absolute()), seconds=2 * SECONDS)
         mesh = _read(path)
@@ -117,6 +121,27 @@ def _refuse_unsafe(path: Path) -> None:
                 raise ReadError(f"{path}: XML with a DOCTYPE is refused; expected a plain VTK file without one")
         except OSError as error:
             raise ReadError(f"{path}: cannot be read ({error.strerror}); expected a mesh file") from error
+
+
+def _refuse_cut_stl(path: Path) -> None:
+    """Refuse an STL file that ends before its triangles do: VTK reads what is there, without a word."""
+    with open_limited(path, MAX_BYTES, "a mesh file") as file:
+        head = file.read(_STL_HEAD)
+        size = file.seek(0, 2)
+        file.seek(max(0, size - 200))
+        tail = file.read()
+    number = int.from_bytes(head[80:84], "little")
+    if head.lstrip().lower().startswith(b"solid"):
+        if b"endsolid" in tail.lower():
+            return
+    elif len(head) == _STL_HEAD and size >= _STL_HEAD + _STL_TRIANGLE * number:
+        return
+    # some programs begin binary files with the word, too
+    if len(head) < _STL_HEAD or size != _STL_HEAD + _STL_TRIANGLE * number:
+        raise ReadError(
+            f"{path}: an STL file that is cut off, or none: {size} bytes; expected {_STL_HEAD} and {_STL_TRIANGLE} for "
+            'each triangle, or text that ends with "endsolid"'
+        )
 
 
 def _holds_doctype(file: BinaryIO, start: bytes) -> bool:
