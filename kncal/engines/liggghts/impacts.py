@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -150,25 +150,29 @@ def mesh_speeds(before: Before, earlier: Array, now: Array, kinds: Sequence[int]
     ``earlier``, ``now``: rows of contacts and gaps (see `kncal.engines.liggghts.c_library`) one step of ``dt`` [s]
     before, and now; ``kinds``: species of each mesh.
     """
-    # of each particle at each mesh the nearest triangle
-    then, there = _nearest(earlier), _nearest(now[now[:, _OVERLAP] > 0.0])
-    known = [key for key in there if key in then and then[key][_OVERLAP] <= 0.0 and before.row[key[1] - 1] >= 0]
-    old = np.array([then[key] for key in known]).reshape(-1, earlier.shape[1])
-    new = np.array([there[key] for key in known]).reshape(-1, earlier.shape[1])
-    row = before.row[np.array([key[1] - 1 for key in known], dtype=np.intp)]
-    n = old[:, _CENTRE] - old[:, _POINT]
+    keys, then = _nearest(earlier)
+    touching, there = _nearest(now[now[:, _OVERLAP] > 0.0])
+    at = np.minimum(np.searchsorted(keys, touching), max(len(keys) - 1, 0))
+    known = np.flatnonzero(keys[at] == touching) if len(keys) else np.empty(0, dtype=np.intp)
+    row = before.row[then[at[known], _ID].astype(np.intp) - 1]
+    new = (then[at[known], _OVERLAP] <= 0.0) & (row >= 0)
+    then, there, row = then[at[known[new]]], there[known[new]], row[new]
+    n = then[:, _CENTRE] - then[:, _POINT]
     n /= np.linalg.norm(n, axis=1)[:, None]
     pull = -np.einsum("ck,ck->c", before.push[row], n)
-    gap = -old[:, _OVERLAP]
-    closing = (gap + new[:, _OVERLAP]) / dt - 0.5 * pull * dt
-    meshes = np.array([kinds[key[0]] for key in known], dtype=np.int64)
+    gap = -then[:, _OVERLAP]
+    closing = (gap + there[:, _OVERLAP]) / dt - 0.5 * pull * dt
+    meshes = np.array(kinds, dtype=np.int64)[then[:, _MESH].astype(np.intp)]
     return Speeds(_at_touch(closing, pull, gap), before.kind[row], meshes)
 
 
-def _nearest(rows: Array) -> dict[tuple[int, int], NDArray[Any]]:
-    """Return the row with the largest overlap for each mesh and particle id."""
-    order = np.argsort(rows[:, _OVERLAP], kind="stable")
-    return {(int(row[_MESH]), int(row[_ID])): row for row in rows[order]}
+def _nearest(rows: Array) -> tuple[NDArray[np.int64], Array]:
+    """Return for each particle at each mesh the row of the nearest triangle, in the order of a key of both."""
+    keys = rows[:, _MESH].astype(np.int64) << 32 | rows[:, _ID].astype(np.int64)
+    order = np.lexsort((rows[:, _OVERLAP], keys))
+    keys = keys[order]
+    last = np.append(keys[1:] != keys[:-1], True)[: len(keys)]
+    return keys[last], rows[order[last]]
 
 
 def _at_touch(closing: Array, pull: Array, gap: Array) -> Array:

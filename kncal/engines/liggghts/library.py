@@ -344,8 +344,16 @@ def _arguments(model: Plan, deck: Deck, sizes: Sizes) -> dict[str, object]:
         "pairs": list(species.pairs()),
         "kinds": len(species.members),
         "floor": deck.has_floor,
-        "outlets": [(outlet.fix, outlet.deletes) for outlet in deck.outlets],
-        "deletes": any(outlet.deletes for outlet in deck.outlets),
+        "outlets": [
+            {
+                "fix": outlet.fix,
+                "deletes": outlet.deletes,
+                "axis": "xyz".index(outlet.axis),
+                "position": scene.outlets[outlet.name].position,
+                "reach": scene.d_max,
+            }
+            for outlet in deck.outlets
+        ],
         "flows": bool(deck.outlets or deck.streams),
     }
 

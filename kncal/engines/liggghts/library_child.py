@@ -41,9 +41,9 @@ from kncal.engines.liggghts.shared import BINS_PER_DECADE, DECADES, Shared, Size
 
 #: Environment variable with the numbers of the inherited socket and memory.
 VARIABLE = "KNCAL_PARTICLES"
-#: Overlaps are looked at about every so many steps, at least once in an interval and at its end. One look costs as much
-#: as 1.5 steps, so this is 4 % of the run.
-LOOK_EVERY = 40
+#: Overlaps are looked at about every so many steps, at least once in an interval and at its end: with gas, and without,
+#: where more else is looked at. One look costs as much as 1.5 steps, so this is 4 % and 1 % of the run.
+LOOK_EVERY, SELDOM = 40, 150
 #: New contacts are watched for in the last step of an interval, about once in so many steps; that costs 2 or 3 steps.
 WATCH_EVERY = 80
 #: Output of the runs beyond so many bytes is dropped; that of the deck is kept.
@@ -218,15 +218,16 @@ class Child:
 
     def _looks(self, steps: int) -> Iterator[Array]:
         """Run, and give the contacts (see `Library.contacts`) on the way and at the end; they are gone at the next."""
+        every = LOOK_EVERY if self._gas else SELDOM
         # What several ranks have in contact is brought together through a file: that is dearer.
-        *parts, last = split(steps, max(1, round(steps / LOOK_EVERY)) if self.lib.ranks == 1 else 1)
+        *parts, last = split(steps, max(1, round(steps / every)) if self.lib.ranks == 1 else 1)
         for part in parts:
             self._advance(part)
             yield self.lib.contacts()
         # by the count of all steps, so that a continued run watches in the same intervals
         end = self.lib.step + last
         watched = end // WATCH_EVERY > (end - steps) // WATCH_EVERY
-        apart = watched or self.given["deletes"]
+        apart = watched or any(outlet["deletes"] for outlet in self.given["outlets"])
         self._advance(last - 1 if apart else last)
         earlier = self._before() if watched else None
         if apart:
@@ -241,12 +242,24 @@ class Child:
             self.lib.command(f"run {steps} pre no post no")
 
     def _last_step(self) -> None:
-        """Run one step, with new neighbour lists where particles are deleted: they go only when these are made."""
-        if not self.given["deletes"]:
+        """Run one step; with new neighbour lists if particles may be deleted: they go only when these are made.
+
+        So at the end of an interval none is marked to go: a restart would forget the mark.
+        """
+        if not self._leaving():
             return self._advance(1)
         self.lib.command("neigh_modify check no")
         self._advance(1)
         self.lib.command("neigh_modify check yes")
+
+    def _leaving(self) -> bool:
+        """Whether a particle is near an outlet that deletes, or was marked to go."""
+        x = self.lib.whole(self.lib.vectors("x"))
+        for outlet, (number, _, deleted) in zip(self.given["outlets"], self._out + self._passed(), strict=True):
+            near = np.abs(x[:, outlet["axis"]] - outlet["position"]) < outlet["reach"]
+            if outlet["deletes"] and (number > deleted or near.any()):
+                return True
+        return False
 
     def _before(self) -> tuple[Before, Array]:
         """Copy what the impact speeds of the next step's new contacts are made of."""
@@ -305,9 +318,10 @@ class Child:
 
     def _passed(self) -> Array:
         """Return what each outlet counts: number and mass [kg] that passed it, and number that was deleted there."""
-        found = [[self.lib.number(fix, place) for place in (1, 0, 5)] for fix, _ in self.given["outlets"]]
+        outlets = self.given["outlets"]
+        found = [[self.lib.number(outlet["fix"], place) for place in (1, 0, 5)] for outlet in outlets]
         passed = np.array(found).reshape(-1, 3)
-        passed[[not deletes for _, deletes in self.given["outlets"]], 2] = 0.0
+        passed[[not outlet["deletes"] for outlet in outlets], 2] = 0.0
         return passed
 
     def _sum(self) -> float:
