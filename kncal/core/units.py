@@ -13,10 +13,16 @@ _PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"
 def si_prefix(values: ArrayLike, unit: str) -> tuple[float, str]:
     """Return (factor, label) such that factor*values reads well: 3e-6 and "m" give 1e6 and "µm".
 
-    Chosen for the largest finite value. Zero has no prefix; what is beyond pico and tera keeps these.
+    Chosen for the largest finite value. Zero has no prefix; what is beyond pico and tera keeps these. The kilogram has
+    a prefix already: 0.002 kg/s are 2 g/s.
     """
     finite = np.abs(np.asarray(values, dtype=np.float64))
     largest = float(finite[np.isfinite(finite)].max(initial=0.0))
+    if unit.startswith("kg"):
+        if largest >= 1.0 or largest == 0.0:
+            return 1.0, unit
+        factor, label = si_prefix(1e3 * largest, unit[1:])
+        return 1e3 * factor, label
     # + 1e-9: 999.9999999999 µm is 1 mm that lost a bit
     exponent = 0 if largest == 0.0 else 3 * int(np.floor((np.log10(largest) + 1e-9) / 3.0))
     exponent = min(max(exponent, min(_PREFIXES)), max(_PREFIXES))

@@ -31,8 +31,8 @@ class _Stage:
         from matplotlib.figure import Figure
 
         facts = next(iter(runs.values())).facts
-        width = facts.size[0]
-        panel = float(np.clip(4.8 * width / top, 1.6, 5.0))
+        (left, _, bottom), (width, _, _) = facts.low, facts.size
+        panel = float(np.clip(4.8 * width / (top - bottom), 1.6, 5.0))
         # an even number of pixels, which video needs
         across, up = (2.0 * round(0.5 * _DPI * inches) / _DPI for inches in (1.5 + (panel + 0.35) * len(runs), 5.6))
         self.figure = Figure(figsize=(across, up), dpi=_DPI, layout="compressed")
@@ -40,18 +40,15 @@ class _Stage:
         self.factor, unit = si_prefix(facts.size, "m")
         self.runs = runs
         self.particles = []
-        for ax, (kind, series) in zip(
-            self.figure.subplots(1, len(runs), sharey=True, squeeze=False)[0], runs.items(), strict=True
-        ):
-            diameter = self.factor * series.facts.diameter
-            ax.set_xlim(0.0, self.factor * width)
-            ax.set_ylim(0.0, self.factor * top)
+        for ax, kind in zip(self.figure.subplots(1, len(runs), sharey=True, squeeze=False)[0], runs, strict=True):
+            ax.set_xlim(self.factor * left, self.factor * (left + width))
+            ax.set_ylim(self.factor * bottom, self.factor * top)
             ax.set_aspect("equal")
             ax.set_xlabel(f"x [{unit}]")
             ax.set_title({"linear": "linear", "hertz": "Hertz"}.get(kind, kind), fontsize=10)
             drawn = EllipseCollection(
-                diameter,
-                diameter,
+                0.0,
+                0.0,
                 0.0,
                 units="xy",
                 offsets=np.zeros((1, 2)),
@@ -77,9 +74,12 @@ class _Stage:
         """Draw frame ``frames[kind]`` of every run; returns (height, width, 3) bytes."""
         self.canvas.restore_region(self.background)
         for drawn, (kind, series) in zip(self.particles, self.runs.items(), strict=True):
-            x, v = series.x[frames[kind]], series.v[frames[kind]]
-            order = np.argsort(-x[:, 1], kind="stable")  # the nearest last
+            x, v, kinds = series.x[frames[kind]], series.v[frames[kind]], series.kind[frames[kind]]
+            there = np.flatnonzero(kinds >= 0)
+            order = there[np.argsort(-x[there, 1], kind="stable")]  # the nearest last
             drawn.set_offsets(self.factor * x[order][:, [0, 2]])
+            sizes = 2.0 * self.factor * np.array(series.facts.radii)[kinds[order]]
+            drawn.set(widths=sizes, heights=sizes)
             drawn.set_array(np.linalg.norm(v[order], axis=1))
             self.figure.draw_artist(drawn)
         kind, series = next(iter(self.runs.items()))
@@ -138,10 +138,13 @@ def animate(runs: Mapping[str, BedSeries], path: Path, seconds: float = 12.0) ->
 def _stage(runs: Mapping[str, BedSeries]) -> _Stage:
     if not runs or any(not len(series.t_frame) for series in runs.values()):
         raise InputError("no frames to draw: expected runs with recorded frames")
-    speeds = [np.quantile(np.linalg.norm(series.v[:: _stride(series)], axis=2), 0.99) for series in runs.values()]
-    highest = max(float(max(np.nanmax(x[:, 2]) for x in series.x) + series.facts.diameter) for series in runs.values())
-    lid = next(iter(runs.values())).facts.size[2]
-    return _Stage(runs, fastest=max(float(max(speeds)), 1e-6), top=min(1.05 * highest, lid))
+    speeds = [np.linalg.norm(series.v[:: _stride(series)], axis=2).ravel() for series in runs.values()]
+    fastest = max(float(np.quantile(v[np.isfinite(v)], 0.99)) if np.isfinite(v).any() else 0.0 for v in speeds)
+    facts = next(iter(runs.values())).facts
+    bottom, lid = facts.low[2], facts.low[2] + facts.size[2]
+    highest = max(float(np.max(x[:, 2], initial=bottom, where=~np.isnan(x[:, 2]))) for s in runs.values() for x in s.x)
+    top = bottom + 1.05 * (highest + facts.diameter - bottom)
+    return _Stage(runs, fastest=max(fastest, 1e-6), top=min(top, lid))
 
 
 def _stride(series: BedSeries) -> int:
