@@ -5,7 +5,8 @@ iteration lets the nudge grow from step to step, however slowly, so that they sh
 probes meet once, within a few steps at the edge: too short for an instability to grow, they show what a user sees
 (restitution, energy, passing through).
 
-Friction is left out of all of them: its springs would add to the stiffness that the formula knows of.
+Friction is left out of all of them but a packing that sticks: its springs add to the stiffness that the formula knows
+of.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ PRESSED_SHARE = 1e-6
 #: opens.
 NUDGE = 1e-4
 #: Gravity that a case may have [m/s²] (see `kncal.scene.values`), but for a margin.
-_STRONGEST = 9e4
+STRONGEST = 9e4
 #: Spheres side by side in an impact on a wall: as many sub-step phases of first touch.
 ABREAST = 8
 _SIGNS = (-1.0, 0.0, 1.0)
@@ -199,8 +200,8 @@ def impact_on_wall(given: Ingredients, kind: str, e_n: float) -> Probe:
         _sphere(given, f"s{i}", (3.0 * R * i, 0.0, R + gap), (0.0, 0.0, -v)) for i, gap in enumerate(gaps)
     )
     floor = Wall(name="floor", axis="z", position=0.0, material=given.wall)
-    scene = _scene(given, f"impact-wall-{kind}", e_n, particles, (floor,))
-    return _of(scene, kind, e_n, 1, pressed=False)
+    scene = probe_scene(given, f"impact-wall-{kind}", e_n, particles, (floor,))
+    return probe_of(scene, kind, e_n, 1, pressed=False)
 
 
 def impact_of_pair(given: Ingredients, kind: str, e_n: float, size_ratio: float = 1.0) -> Probe:
@@ -210,10 +211,10 @@ def impact_of_pair(given: Ingredients, kind: str, e_n: float, size_ratio: float 
     def scene(gap: float) -> Scene:
         small = _sphere(given, "small", (-given.radius - gap, 0.0, 0.0), (v, 0.0, 0.0))
         large = replace(_sphere(given, "large", (big, 0.0, 0.0)), radius=big)
-        return _scene(given, f"impact-pair-{size_ratio:g}-{kind}", e_n, (small, large), ())
+        return probe_scene(given, f"impact-pair-{size_ratio:g}-{kind}", e_n, (small, large), ())
 
     t_c = plan(scene(0.0), (kind,))[kind].between("small", "large").t_c
-    return _of(scene(0.37 * v * t_c), kind, e_n, 1, pressed=False, size_ratio=size_ratio)
+    return probe_of(scene(0.37 * v * t_c), kind, e_n, 1, pressed=False, size_ratio=size_ratio)
 
 
 def impact_of_cluster(given: Ingredients, kind: str, e_n: float, contacts: int) -> Probe:
@@ -224,18 +225,18 @@ def impact_of_cluster(given: Ingredients, kind: str, e_n: float, contacts: int) 
     particles += [
         _sphere(given, f"s{i}", _vector(start * u), _vector(-v * u)) for i, u in enumerate(_units(contacts), start=1)
     ]
-    scene = _scene(given, f"impact-cluster-{contacts}-{kind}", e_n, tuple(particles), ())
-    return _of(scene, kind, e_n, contacts, pressed=False)
+    scene = probe_scene(given, f"impact-cluster-{contacts}-{kind}", e_n, tuple(particles), ())
+    return probe_of(scene, kind, e_n, contacts, pressed=False)
 
 
 def _on_floor(given: Ingredients, kind: str, e_n: float) -> Probe:
     c = _contact(given, kind, e_n, wall=True)
-    delta = min(_depth(c), (c.m_eff * _STRONGEST / c.k) ** (1.0 / c.n))
+    delta = min(_depth(c), (c.m_eff * STRONGEST / c.k) ** (1.0 / c.n))
     ball = _sphere(given, "s0", (0.0, 0.0, given.radius - delta), (0.0, 0.0, _nudge(c, delta)))
     floor = Wall(name="floor", axis="z", position=0.0, material=given.wall)
     g = c.k * delta**c.n / c.m_eff
-    scene = _scene(given, f"pressed-floor-{kind}", e_n, (ball,), (floor,), (0.0, 0.0, -g))
-    return _of(scene, kind, e_n, 1, pressed=True)
+    scene = probe_scene(given, f"pressed-floor-{kind}", e_n, (ball,), (floor,), (0.0, 0.0, -g))
+    return probe_of(scene, kind, e_n, 1, pressed=True)
 
 
 def _between_walls(given: Ingredients, kind: str, e_n: float) -> Probe:
@@ -243,7 +244,7 @@ def _between_walls(given: Ingredients, kind: str, e_n: float) -> Probe:
     delta = _depth(c)
     ball = _sphere(given, "s0", (0.0, 0.0, 0.0), (_nudge(c, delta), 0.0, 0.0))
     walls = _box({"x": given.radius - delta}, given.wall)
-    return _of(_scene(given, f"pressed-walls-{kind}", e_n, (ball,), walls), kind, e_n, 2, pressed=True)
+    return probe_of(probe_scene(given, f"pressed-walls-{kind}", e_n, (ball,), walls), kind, e_n, 2, pressed=True)
 
 
 def _unequal_pressed(given: Ingredients, kind: str, e_n: float, size_ratio: float) -> Probe:
@@ -259,14 +260,14 @@ def _unequal_pressed(given: Ingredients, kind: str, e_n: float, size_ratio: floa
             for side, plane in (("low", -2.0 * R + delta + left), ("high", 2.0 * big - right))
         )
         name = f"pressed-pair-{size_ratio:g}-{kind}"
-        return _scene(given, name, e_n, (small, replace(large, radius=big)), walls)
+        return probe_scene(given, name, e_n, (small, replace(large, radius=big)), walls)
 
     model = plan(scene(0.0, 0.0, 0.0, 0.0), (kind,))[kind]
     middle, delta = model.between("small", "large"), 2.0 * R * PRESSED_SHARE
     force = middle.k * delta**middle.n
     left, right = model.between("small", "x-low"), model.between("large", "x-high")
     in_left, in_right = ((force / c.k) ** (1.0 / c.n) for c in (left, right))
-    return _of(
+    return probe_of(
         scene(delta, in_left, in_right, _nudge(middle, delta)), kind, e_n, 2, pressed=True, size_ratio=size_ratio
     )
 
@@ -293,8 +294,8 @@ def _cluster(given: Ingredients, kind: str, e_n: float, contacts: int) -> Probe:
     particles = tuple(
         _sphere(given, f"s{i}", _vector(x), _vector(v)) for i, (x, v) in enumerate(zip(centres, nudges, strict=True))
     )
-    scene = _scene(given, f"pressed-cluster-{contacts}-{kind}", e_n, particles, _box(axes, given.wall))
-    return _of(scene, kind, e_n, contacts, pressed=True)
+    scene = probe_scene(given, f"pressed-cluster-{contacts}-{kind}", e_n, particles, _box(axes, given.wall))
+    return probe_of(scene, kind, e_n, contacts, pressed=True)
 
 
 def _units(contacts: int) -> Array:
@@ -321,7 +322,7 @@ def _contact(given: Ingredients, kind: str, e_n: float, *, wall: bool) -> PairCo
     R = given.radius
     balls = tuple(_sphere(given, f"s{i}", (3.0 * R * i, 0.0, 2.0 * R)) for i in range(2))
     floor = Wall(name="floor", axis="z", position=0.0, material=given.wall)
-    scene = _scene(given, "contact", e_n, balls, (floor,))
+    scene = probe_scene(given, "contact", e_n, balls, (floor,))
     return plan(scene, (kind,))[kind].between("s0", "floor" if wall else "s1")
 
 
@@ -336,14 +337,17 @@ def _nudge(contact: PairContact, delta: float) -> float:
     return NUDGE * omega * delta
 
 
-def _scene(
+def probe_scene(
     given: Ingredients,
     name: str,
     e_n: float,
     particles: tuple[Particle, ...],
     walls: tuple[Wall, ...],
     gravity: Vector = (0.0, 0.0, 0.0),
+    *,
+    friction: float = 0.0,
 ) -> Scene:
+    """Return a scene of these bodies with the case's contact."""
     pairs = tuple(replace(choice, e_n=None if choice.e_n is None else e_n) for choice in given.contact.pairs)
     return Scene.of(
         particles,
@@ -351,14 +355,15 @@ def _scene(
         name=name,
         title=f"Probe of {given.name}",
         gravity=gravity,
-        contact=replace(given.contact, e_n=e_n, pairs=pairs),
+        contact=replace(given.contact, e_n=e_n, pairs=pairs, friction=friction),
         # one step: each run brings its own (see `at_step`)
         run=RunControl(dt=1.0, until_time=1.0),
-        needs={"tangential": False, "rolling": False},
+        needs={"tangential": friction > 0.0, "rolling": False},
     )
 
 
-def _of(scene: Scene, kind: str, e_n: float, contacts: int, *, pressed: bool, size_ratio: float = 1.0) -> Probe:
+def probe_of(scene: Scene, kind: str, e_n: float, contacts: int, *, pressed: bool, size_ratio: float = 1.0) -> Probe:
+    """Return the probe of a scene."""
     return Probe(
         name=scene.name,
         kind=kind,
