@@ -9,8 +9,10 @@ import numpy as np
 from kncal.core.checks import Array
 from kncal.core.errors import InputError
 from kncal.physics.material import sphere_mass
+from kncal.physics.tangential import LIGHTER
 from kncal.physics.timestep import verlet_limit
 from kncal.scene.bodies import AXES, Wall
+from kncal.scene.contact_limits import sticking_limit
 from kncal.scene.model import PairContact, Plan
 
 #: A spectral radius of one is found but for rounding: double eigenvalues (free motion) are split by sqrt(1e-16).
@@ -100,6 +102,8 @@ def tangent(contact: PairContact, delta: float) -> tuple[float, float]:
 def advised_limit(model: Plan, contacts: float) -> float:
     """Return the largest step [s] that `kncal.physics.timestep.verlet_limit` allows, for the contacts there at t = 0.
 
+    With friction also for tangential springs that stick.
+
     Raises
     ------
     InputError
@@ -108,15 +112,18 @@ def advised_limit(model: Plan, contacts: float) -> float:
     there = touching(model)
     if not there:
         raise InputError(f"{model.scene.name}: nothing touches at t = 0: expected a pressed scene")
-    return min(float(verlet_limit(t.stiffness, t.m_eff, t.damping, contacts)) for t in there)
+    along = [verlet_limit(LIGHTER * t.k_t, t.m_eff, LIGHTER * t.c_t, contacts) for t in there if t.k_t > 0.0]
+    return float(min([*along, *(verlet_limit(t.stiffness, t.m_eff, t.damping, contacts) for t in there)]))
 
 
 def impact_limit(model: Plan, contacts: float = 1.0) -> float:
     """Return the same for all contacts of a scene, at the largest overlap of an impact at v_0 [s]."""
-    numbers = [(*tangent(c, c.delta_max), c.m_eff) for c in model.contacts.values() if c.delta_max]
-    if not numbers:
+    pressed = [(c, c.delta_max) for c in model.contacts.values() if c.delta_max]
+    if not pressed:
         raise InputError(f"{model.scene.name}: no contact has an impact speed: expected contact.v_0 [m/s]")
-    return min(float(verlet_limit(k, m, eta, contacts)) for k, eta, m in numbers)
+    numbers = [(*tangent(c, delta), c.m_eff) for c, delta in pressed]
+    normal = min(float(verlet_limit(k, m, eta, contacts)) for k, eta, m in numbers)
+    return min(normal, *(sticking_limit(c, delta, contacts) for c, delta in pressed))
 
 
 def arrangement_limit(model: Plan) -> float:

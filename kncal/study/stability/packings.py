@@ -19,7 +19,7 @@ from kncal.scene.scene import Scene
 from kncal.study.stability.probes import NUDGE, STRONGEST, Ingredients, Probe, probe_of, probe_scene
 
 #: Small spheres of a packing, and the most of them beneath a large one.
-COUNT, MOST = 40, 95
+COUNT, MOST = 27, 95
 #: Overlap under the weight of the packing over the diameter of the smallest sphere. Of this order is what the load
 #: itself takes from the stiffness sideways.
 SHARE = 1e-3

@@ -13,6 +13,7 @@ from kncal.study.stability.accuracy import accuracy_edges
 from kncal.study.stability.coupling_edges import bed_edges
 from kncal.study.stability.edges import Tell, edges, liggghts_runner
 from kncal.study.stability.maps import RESTITUTIONS, outcome_maps
+from kncal.study.stability.packings import packing
 from kncal.study.stability.probes import DIRECTIONS, Ingredients, Probe, ingredients, pressed
 from kncal.study.stability.results import Stability
 
@@ -95,4 +96,5 @@ def _probes(given: Ingredients, restitutions: list[float], *, quick: bool) -> li
         probes += [pressed(given, kind, e, 2) for e in restitutions]
         probes += [pressed(given, kind, e_n, 2, size_ratio=ratio) for ratio in RATIOS]
         probes += [pressed(given, kind, e_n, z) for z in DIRECTIONS if z > 2 and (z == 12 or not quick)]
+        probes += [] if quick else [packing(given, kind, e_n, sticks=sticks) for sticks in (False, True)]
     return probes
