@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -11,9 +12,9 @@ from kncal.core.errors import CaseFileError, ReadError
 from kncal.scene.bodies import AXES
 from kncal.scene.finding import Finding
 from kncal.scene.model import Plan
-from kncal.scene.shapes import faces, is_endless
+from kncal.scene.shapes import CHORD, faces, is_endless, revolved, sides_of
 from kncal.scene.wall_motion import fastest, swept
-from kncal.scene.walls import MeshWall, WallKeys
+from kncal.scene.walls import ConeWall, CylinderWall, MeshWall, WallKeys
 
 #: Neighbour skin in diameters of the smallest particle: fewer rebuilds than 0.1, fewer pairs than 0.5.
 SKIN = 0.25
@@ -26,6 +27,8 @@ LEAST_ANGLE = 0.06
 MOST_NEAR, MANY_NEAR = 1500, 60
 #: Lists that are made anew more often than once in so many steps cost more than the steps.
 LEAST_REBUILD = 10.0
+#: Share of a curved wall where a particle may touch two triangles at once.
+MOST_SHARE = 0.25
 #: Triangles of which the surroundings are counted.
 _LOOKED_AT = 2000
 
@@ -51,6 +54,7 @@ def walls(plan: Plan) -> Iterator[Finding]:
             yield from mesh(name, triangles, scene.d_min, scene.d_max, closed=wall.closed)
         yield from _periods(plan, name, wall, triangles)
         yield from _speed(plan, name, wall, triangles)
+        yield from _edges(plan, name, wall)
 
 
 def mesh(name: str, triangles: Array, d_min: float, d_max: float, *, closed: bool = False) -> Iterator[Finding]:
@@ -156,4 +160,28 @@ def _speed(plan: Plan, name: str, wall: WallKeys, triangles: Array) -> Iterator[
             f"walls.{name}: moves with up to {speed:.3g} m/s, {speed * plan.dt:.3g} m in a step of {plan.dt:.3g} s, "
             f"against {room:.3g} m that lists allow (half their skin): {told}: expected a slower motion or a shorter "
             "run.dt",
+        )
+
+
+def _edges(plan: Plan, name: str, wall: WallKeys) -> Iterator[Finding]:
+    """Yield whether overlaps are so large that particles touch two triangles of a curved wall over much of it.
+
+    A particle within delta/theta of an inner edge touches both triangles, theta the angle between them. They are w
+    wide, theta is w/R, and the chord error w²/(8 R): a share of delta/(4 chord error).
+    """
+    if not isinstance(wall, CylinderWall | ConeWall):
+        return
+    line = revolved(wall)
+    assert line is not None  # noqa: S101  # it is one
+    largest = max(line.start[0], line.end[0])
+    chord = largest * (1.0 - math.cos(math.pi / sides_of(largest, CHORD * 0.5 * plan.scene.d_min)))
+    own = plan.species.index[name]
+    overlap = max((c.delta_max or 0.0 for (_, j), c in plan.contacts.items() if j == own), default=0.0)
+    if (share := 0.25 * overlap / chord) > MOST_SHARE:
+        yield Finding(
+            "wall-edges",
+            "warn",
+            f"walls.{name}: with an overlap of {overlap:.2g} m particles touch two of its triangles at once over "
+            f"{100.0 * min(share, 1.0):.2g} % of it, and it is twice as stiff there: expected a stiffer contact, or a "
+            "cylinder without ends and motion, which is no mesh",
         )

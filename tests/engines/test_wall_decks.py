@@ -62,6 +62,22 @@ def test_a_bead_comes_to_rest_on_every_kind_of_wall_with_its_weight(shape: str, 
     assert on_particles == pytest.approx(-WEIGHT if mesh else WEIGHT, rel=0.02)
 
 
+def test_at_an_inner_edge_a_bead_is_carried_by_both_triangles(tmp_path: Path) -> None:
+    """As in a groove: k delta cos(theta/2) of each. So a wall of triangles is twice as stiff there as a round one."""
+    _, place, _ = HOLDS["tube"]
+    tube = '[walls.base]\nmaterial = "glass"\n' + HOLDS["tube"][0]
+    model = plan_of(placed(place) + tube, gravity=100.0 * G, until=0.1)
+    run_by_hand(model, tmp_path)
+    (base,) = bed_deck(model, start_at(model)).walls
+    assert base.triangles is not None
+    around = np.unique(base.triangles.reshape(-1, 3).round(9)[:, 1:], axis=0)
+    half = math.pi / len(around)
+    assert around[:, 1].min() == pytest.approx(0.0, abs=1e-12)  # an edge is at the bottom
+    overlap = 100.0 * WEIGHT / (2.0 * model.contacts[0, 1].k * math.cos(half))
+    rests = list(frames(tmp_path).values())[-1][0, 5]
+    assert rests == pytest.approx((R - overlap) / math.cos(half), abs=0.02 * overlap)
+
+
 MOVED = """
 [walls.paddle]
 shape = "plate"

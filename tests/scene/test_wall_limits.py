@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -99,6 +100,20 @@ def test_a_mesh_that_leaves_a_periodic_box_is_refused() -> None:
     found = [f for f in check(plan_of(moved, periodic=periodic)) if f.code == "wall-periodic"]
     assert [f.level for f in found] == ["refuse"]
     assert "surface_velocity" in found[0].message
+
+
+def test_overlaps_that_reach_two_triangles_of_a_curved_wall_over_much_of_it_are_told() -> None:
+    """delta/(4 chord error): chord error 2 % of the radius, so from 2 % of the radius on it is a quarter."""
+    tube = '[walls.tube]\nshape = "cylinder"\nradius = 0.028\nlow = 0.0\nhigh = 0.1\nmaterial = "glass"\n'
+    for share, told in ((0.012, False), (0.04, True)):
+        model = plan_of(placed((0.0, 0.0, 0.05)) + tube)
+        stiff = model.contacts[0, 1].delta_max
+        assert stiff is not None
+        contacts = {pair: replace(c, delta_max=share * 0.5 * D) for pair, c in model.contacts.items()}
+        found = [f for f in check(replace(model, contacts=contacts)) if f.code == "wall-edges"]
+        assert bool(found) == told
+        endless = plan_of(placed((0.0, 0.0, 0.05)) + tube.replace("low = 0.0\nhigh = 0.1\n", ""))
+        assert not [f for f in check(replace(endless, contacts=contacts)) if f.code == "wall-edges"]
 
 
 @pytest.mark.slow
