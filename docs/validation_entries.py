@@ -15,6 +15,7 @@ from kncal.core.shipped import folder
 from kncal.observe.run_data import RunData
 
 _DEM, _GAS, _SLIDING = "MFIX's DEM01 to DEM06", "Particles and gas", "sliding, closed form"
+_GRAINS = "Many particles without gas"
 
 
 def _stacked(run: RunData) -> float:
@@ -56,4 +57,9 @@ GAS = [
     expected(_GAS, "U_mf of NETL's beads", "fluidization_curve", "U_mf", "measured, NETL SSCP-I", "linear", long=True),
 ]
 
-ENTRIES: tuple[Entry, ...] = (*CHUNG_OOI, *MFIX, *GAS)
+GRAINS = [
+    expected(_GRAINS, "mass flow of a conical hopper", "hopper", "mass_flow", "Beverloo et al. (1961)", long=True),
+    expected(_GRAINS, "mass flow through a slot", "hopper_flat", "mass_flow", "Myers & Sellers", long=True),
+]
+
+ENTRIES: tuple[Entry, ...] = (*CHUNG_OOI, *MFIX, *GAS, *GRAINS)

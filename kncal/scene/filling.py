@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 #: Share of the volume beyond which nothing is tried (randomly packed spheres jam at 0.64), and that usually works.
 DENSEST, USUAL = 0.62, 0.5
 #: Spheres that are pressed into one another fill no more than this.
-PRESSED = 0.72
+PRESSED = 0.85
 #: Places tried at once, and the share of them that must be free for random addition to go on.
 _BATCH, _LEAST_FREE = 100_000, 2e-2
 #: Rounds of pushing apart; the gap that is aimed at, over the radius; how far a push goes.

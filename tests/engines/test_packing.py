@@ -210,7 +210,7 @@ poisson = 0.3
 density = 2500
 [particles.beads]
 material = "glass"
-diameter = 4e-3
+sizes.shares = {sizes}
 fill = {fill}
 place = "settled"
 region = {{low = [0.0, 0.0, 0.0], high = [0.024, 0.024, 0.024]}}
@@ -224,27 +224,51 @@ v_0 = 0.1
 until_time = 0.01
 sample_every = 1e-3
 """
+EQUAL, MIXTURE = "[[4e-3, 1.0]]", "[[2e-3, 0.3], [4e-3, 0.7]]"
 
 
 @solver
-@pytest.mark.parametrize("fill", [0.58, 0.68])
-def test_spheres_that_are_pressed_together_carry_each_other_above_the_jamming_density(fill: float) -> None:
-    """Frictionless spheres jam at 0.64 (O'Hern et al. 2003, 0.639 for many): below it nothing touches, above it all but
-    the rattlers are in balance by at least six contacts (isostatic: three coordinates each, one contact for two)."""
-    jammed = plan(parse_case(PRESSED.format(fill=fill), name="pressed"), ("linear",))["linear"]
-    start = packing(jammed)
-    side, d = 0.024, 4e-3
-    pairs = cKDTree(start.x, boxsize=side).query_pairs(d, output_type="ndarray")
+@pytest.mark.parametrize(
+    ("sizes", "fill", "jammed"),
+    [
+        (EQUAL, 0.58, False),
+        (EQUAL, 0.68, True),
+        pytest.param(MIXTURE, 0.65, False, marks=pytest.mark.long),
+        (MIXTURE, 0.72, True),
+    ],
+)
+def test_spheres_that_are_pressed_together_carry_each_other_above_the_jamming_density(
+    sizes: str, fill: float, jammed: bool
+) -> None:
+    """Frictionless equal spheres jam at 0.64 (O'Hern et al. 2003: 0.639), these of two sizes at 0.68 (Farr & Groot
+    2009: 0.682): below it nothing touches, above it all but the rattlers are in balance by at least six contacts
+    (isostatic: three coordinates each, one contact for two).
+    """
+    pressed = plan(parse_case(PRESSED.format(sizes=sizes, fill=fill), name="pressed"), ("linear",))["linear"]
+    start = packing(pressed)
+    side = 0.024
+    classes = pressed.scene.classes
+    radii = 0.5 * np.array([c.diameter for c in classes])[start.kind]
+    pairs = cKDTree(start.x, boxsize=side).query_pairs(2.0 * radii.max(), output_type="ndarray")
     way = start.x[pairs[:, 0]] - start.x[pairs[:, 1]]
     way -= side * np.round(way / side)
     distance = np.linalg.norm(way, axis=1)
-    push = ((d - distance) / distance)[:, None] * way
-    number = np.bincount(pairs.ravel(), minlength=len(start.x))
-    if fill < 0.6:
-        assert np.sum(d - distance) < 1e-4 * d
+    overlap = radii[pairs].sum(axis=1) - distance
+    way, distance, pairs, overlap = (part[overlap > 0.0] for part in (way, distance, pairs, overlap))
+    if not jammed:
+        assert overlap.sum() < 1e-4 * radii.max()
         return
+    stiffness = np.zeros((len(classes), len(classes)))
+    for i, j in pressed.contacts:
+        if j < len(classes):
+            stiffness[i, j] = stiffness[j, i] = pressed.contacts[i, j].k
+    size = stiffness[tuple(start.kind[pairs].T)] * overlap
+    push = (size / distance)[:, None] * way
     force = np.zeros_like(start.x)
     np.add.at(force, pairs[:, 0], push)
     np.add.at(force, pairs[:, 1], -push)
-    assert np.linalg.norm(force, axis=1).max() < 0.02 * (d - distance).mean()
-    assert 6.0 <= number[number > 3].mean() < 8.0
+    assert np.linalg.norm(force, axis=1).max() < 0.02 * size.mean()
+    carries = np.bincount(pairs.ravel(), minlength=len(start.x)) > 3
+    both = carries[pairs].all(axis=1)
+    number = np.bincount(pairs[both].ravel(), minlength=len(start.x))[carries]
+    assert 5.9 <= number.mean() < 8.0  # some more rattlers have four contacts
