@@ -42,6 +42,44 @@ material = "glass"
 diameter = 0.005
 """
 
+#: A stream on a paddle that turns, an outlet that counts and one that deletes; two sizes.
+RAIN = """
+[particles.small]
+material = "glass"
+diameter = 0.004
+count = 120
+place = "stream"
+rate = 0.04
+velocity = [0, 0, -0.5]
+[particles.small.region]
+low = [-0.02, -0.02, 0.06]
+high = [0.02, 0.02, 0.08]
+[particles.large]
+material = "glass"
+diameter = 0.006
+positions = [[0, 0, 0.03], [0.01, 0, 0.03], [0, 0.01, 0.04]]
+[walls.paddle]
+shape = "plate"
+corner = [-0.012, -0.012, 0.02]
+edge_1 = [0.024, 0.0, 0.0]
+edge_2 = [0.0, 0.024, 0.0]
+material = "glass"
+[[walls.paddle.motion]]
+kind = "rotate"
+axis = [0, 0, 1]
+period = 0.5
+start = 0.05
+[walls.tube]
+shape = "cylinder"
+radius = 0.028
+material = "glass"
+[outlets.middle]
+position = 0.015
+delete = false
+[outlets.out]
+position = 0.0
+"""
+
 
 def plan_of(
     text: str,

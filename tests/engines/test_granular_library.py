@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from granular import G, placed, plan_of
+from granular import RAIN, G, placed, plan_of
 
 from kncal.core.errors import RunError
 from kncal.engines.liggghts.library import LiggghtsDem
@@ -45,43 +45,6 @@ position = -0.01
 GRID = np.array(
     [[0.0075 * (i % 4) - 0.011, 0.0075 * (i // 4 % 4) - 0.011, 0.02 + 0.0075 * (i // 16)] for i in range(60)]
 )
-
-RAIN = """
-[particles.small]
-material = "glass"
-diameter = 0.004
-count = 120
-place = "stream"
-rate = 0.04
-velocity = [0, 0, -0.5]
-[particles.small.region]
-low = [-0.02, -0.02, 0.06]
-high = [0.02, 0.02, 0.08]
-[particles.large]
-material = "glass"
-diameter = 0.006
-positions = [[0, 0, 0.03], [0.01, 0, 0.03], [0, 0.01, 0.04]]
-[walls.paddle]
-shape = "plate"
-corner = [-0.012, -0.012, 0.02]
-edge_1 = [0.024, 0.0, 0.0]
-edge_2 = [0.0, 0.024, 0.0]
-material = "glass"
-[[walls.paddle.motion]]
-kind = "rotate"
-axis = [0, 0, 1]
-period = 0.5
-start = 0.05
-[walls.tube]
-shape = "cylinder"
-radius = 0.028
-material = "glass"
-[outlets.middle]
-position = 0.015
-delete = false
-[outlets.out]
-position = 0.0
-"""
 
 
 class Look(NamedTuple):

@@ -12,10 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from granular import HEAD, RAIN
 
 from kncal.engines.checkpoint import last_checkpoint
 from kncal.engines.coupled import Coupled
 from kncal.engines.dpmfoam.adapter_build import find
+from kncal.engines.registry import engine_for
 from kncal.record.series import read_series
 from kncal.runs.states import run_state
 from kncal.runs.workflow import run_case
@@ -83,6 +85,39 @@ def test_a_run_killed_at_a_random_coupling_resumes(undisturbed, tmp_path: Path, 
         one, two = getattr(series, name), getattr(undisturbed, name)
         # Saving brings LIGGGHTS' sums into another order: 1e-16 per step, which contacts amplify.
         np.testing.assert_allclose(one, two, rtol=1e-6, atol=1e-7 * np.abs(two).max(), err_msg=name)
+
+
+def test_a_stream_killed_between_walls_that_move_resumes(tmp_path: Path) -> None:
+    """Of particles that come and go none is lost or doubled, and each goes on where it was."""
+    case = tmp_path / "case.toml"
+    case.write_text(HEAD + RAIN, encoding="utf-8")
+    scene = load_case(str(case))
+    first, out = tmp_path / "first", tmp_path / "run"
+    assert run_case(scene, engine_for(scene), first, ("linear",))["linear"].status == "completed"
+    process = subprocess.Popen([sys.executable, "-c", PROGRAM, str(case), str(out), "auto"], start_new_session=True)
+    deadline = time.monotonic() + 120.0
+    while _saved(out / "linear") < 25:
+        assert process.poll() is None, "the run ended before it could be killed"
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    while _using(out) or run_state(out / "linear").status == "running":
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    assert run_case(scene, engine_for(scene), out, ("linear",))["linear"].status == "completed"
+    one, two = (read_series(folder / "linear" / "series") for folder in (first, out))
+    np.testing.assert_array_equal(one.coupling, two.coupling)
+    for series in (one, two):
+        mass = np.array(series.facts.masses)[0]
+        come = np.minimum(120, np.round(0.04 * series.t / mass))
+        assert series.number + series.out_number[:, 1] == pytest.approx(3 + come, abs=1)
+        assert (np.diff(series.out_number, axis=0) >= 0).all()
+    early = one.t_frame < 0.1  # before contacts have made rounding visible
+    assert early.sum() > 3
+    for frame in np.flatnonzero(early):
+        np.testing.assert_allclose(two.x[frame], one.x[frame], rtol=0.0, atol=1e-6)
+        np.testing.assert_array_equal(two.kind[frame], one.kind[frame])
 
 
 def test_ctrl_c_loses_no_coupling(undisturbed, tmp_path: Path) -> None:
