@@ -14,6 +14,7 @@ from granular import G, driven_text, frames, placed, plan_of, run_by_hand, start
 from kncal.core.checks import Array
 from kncal.engines.liggghts.deck import bed_deck, write_deck
 from kncal.engines.liggghts.deck_walls import DeckWall
+from kncal.engines.liggghts.library import LiggghtsDem
 from kncal.scene.wall_motion import pose, when
 
 pytestmark = pytest.mark.solver
@@ -278,3 +279,17 @@ def test_a_scene_begins_without_particles_where_all_flow_in(by_hand: bool, tmp_p
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr
     left = (tmp_path / ("particles.dump" if by_hand else "settled.dump")).read_text().split("ITEM: NUMBER OF ATOMS")
     assert int(left[-1].split()[0]) == (40 if by_hand else 0)  # as a library kncal asks for each insertion
+
+
+def test_a_deck_by_hand_moves_as_kncal_does_with_the_library(tmp_path: Path) -> None:
+    """To rounding up to the first event, where each begins the next run in its way: half a step's force apart."""
+    model = plan_of(HOPPER.replace("POSITIONS", str(GRID)), until=0.2)
+    run_by_hand(model, tmp_path / "hand")
+    with LiggghtsDem(model, tmp_path / "library", start_at(model)) as dem:
+        for coupling in range(1, model.couplings + 1):
+            dem.run(model.steps_per_coupling)
+            dem.end_interval(coupling)
+            if coupling % model.frames_every == 0:
+                there = frames(tmp_path / "hand")[coupling * model.steps_per_coupling]
+                assert dem.state().x == pytest.approx(there[:, 3:6], abs=1e-12)
+                assert dem.state().spin == pytest.approx(there[:, 9:12], abs=1e-6)
