@@ -125,6 +125,11 @@ class Profile:
     temperature: Array
     spread: Array
 
+    @property
+    def flow(self) -> int:
+        """The direction (0, 1, 2) of the largest mean velocity."""
+        return int(np.abs(np.nan_to_num(self.velocity).mean(axis=0)).argmax())
+
 
 def grid_for(
     low: Sequence[float], high: Sequence[float], periodic: Sequence[bool], width: float, most: int = MOST_CELLS
@@ -199,6 +204,34 @@ def profile(
     )
 
 
+def local_temperature(x: Array, v: Array, cell: NDArray[np.int64], flat: int = 3) -> float:
+    """Return the granular temperature of particles about the motion of their neighbours [m²/s²], per direction.
+
+    In each ``cell`` (n,) the velocities are fitted by an affine function of place, so that neither a mean flow nor its
+    gradient counts; the mean square of what is left, over the degrees of freedom that the fit leaves, is free of bias.
+
+    Parameters
+    ----------
+    x, v : (n, 3) [m], [m/s]
+    flat : directions in which particles move, 2 for one layer
+
+    Raises
+    ------
+    InputError
+        If every cell has too few particles for the fit.
+    """
+    order = np.argsort(cell, kind="stable")
+    total, freedom = 0.0, 0
+    for part in np.split(order, np.flatnonzero(np.diff(cell[order])) + 1):
+        place = np.column_stack([np.ones(len(part)), x[part] - x[part].mean(axis=0)])
+        fit, _, rank, _ = np.linalg.lstsq(place, v[part], rcond=1e-9)
+        total += float(((v[part] - place @ fit) ** 2).sum())
+        freedom += len(part) - int(rank)
+    if freedom < 1:
+        raise InputError("too few particles for a local mean velocity: expected more than four in a cell")
+    return total / (flat * freedom)
+
+
 def layer_exponent(found: Profile, up: float, away: float) -> tuple[float, float]:
     """Return the exponent n of a layer that flows on a base, and its speed at the surface [m/s].
 
@@ -213,7 +246,9 @@ def layer_exponent(found: Profile, up: float, away: float) -> tuple[float, float
     """
     from scipy.optimize import curve_fit
 
-    flow = found.velocity[:, int(np.nanargmax(np.abs(np.nanmean(found.velocity, axis=0))))]
+    if not found.density.any():
+        raise InputError("no particles: expected a flowing layer")
+    flow = found.velocity[:, found.flow]
     dense = np.flatnonzero(found.density >= 0.5 * np.median(found.density[found.density > 0.5 * found.density.max()]))
     z = (found.at - found.at[dense[0]]) if up > 0.0 else (found.at[dense[-1]] - found.at)
     height = float(found.at[dense[-1]] - found.at[dense[0]])

@@ -10,6 +10,9 @@ from kncal.core.checks import Array
 from kncal.core.errors import InputError
 from kncal.physics.statistics import MIN_SAMPLES, Average, average, start_up
 
+#: Blocks of the flow in whose means the steady part is looked for.
+_BLOCKS = 50
+
 
 @dataclass(frozen=True, kw_only=True)
 class Discharge:
@@ -33,8 +36,9 @@ def discharge(t: Array, out: Array) -> Discharge:
     """Return the flow of what passed an outlet, ``out`` (n,) [kg] or [-] until ``t`` (n,) [s], evenly spaced.
 
     The steady part lies between the first and the last that passed. From either end of it is left out what raises the
-    marginal standard error of the mean rate (`kncal.physics.statistics.start_up`): the beginning, and the fall when
-    the vessel runs empty. The rate is the mean over what is left, its interval that of a correlated signal.
+    marginal standard error of the mean of blocks (`kncal.physics.statistics.start_up`), and a block more: the
+    beginning, and the fall when the vessel runs empty. The rate is the mean over what is left, its interval that of a
+    correlated signal.
 
     Raises
     ------
@@ -49,8 +53,13 @@ def discharge(t: Array, out: Array) -> Discharge:
     times = t[first + 1 : last + 1]
     if len(rate) < 2 * MIN_SAMPLES:
         raise InputError(f"{len(rate)} intervals of flow: expected at least {2 * MIN_SAMPLES}; record more often")
-    tail = start_up(rate[::-1])
-    rate, times = rate[: len(rate) - tail], times[: len(times) - tail]
-    head = start_up(rate)
-    found = average(times, rate, float(times[head]))
-    return Discharge(begin=float(times[head]), end=float(times[-1]), rate=found, t=t, out=out)
+    size = max(len(rate) // _BLOCKS, 1)  # single particles make a rate so noisy that its fall does not show
+    blocks = rate[: len(rate) // size * size].reshape(-1, size).mean(axis=1)
+    tail = start_up(blocks[::-1])
+    head = start_up(blocks[: len(blocks) - tail])
+    # a block that is half of the change is worse than one less
+    begin, end = (head + bool(head)) * size, (len(blocks) - tail - bool(tail)) * size
+    if end - begin < MIN_SAMPLES:
+        raise InputError("the flow is never steady: expected a longer one")
+    found = average(times[begin:end], rate[begin:end], float(times[begin]))
+    return Discharge(begin=float(times[begin]), end=float(times[end - 1]), rate=found, t=t, out=out)

@@ -8,14 +8,15 @@ from dataclasses import replace
 import numpy as np
 
 from kncal.core.errors import InputError
+from kncal.observe.coarse_graining import local_temperature
 from kncal.observe.estimate import Estimate, averaged, missing
 from kncal.observe.granular import GrainObservations
-from kncal.observe.mixing import mixing_time
+from kncal.observe.mixing import CELL, cells_of, mixing_time
 from kncal.observe.signals import rows_from
 from kncal.physics.statistics import MIN_SAMPLES, average, average_of_samples
 
 #: A mixing index that rises by less is no mixing.
-_MIXES = 0.1
+_MIXES = 0.25
 #: Metric of a packing at rest -> that whose parts tell how far another packing might be.
 _LIKE = {
     "z_mean": "packing_fraction",
@@ -40,7 +41,8 @@ def one_packing(name: str, found: Estimate, estimates: Mapping[str, Estimate]) -
     like = estimates.get(_LIKE[name], missing(""))
     share = like.width / abs(like.value) if like.value and like.width is not None else 1.0
     why = "one packing at rest: how far another would differ is estimated from parts of it"
-    width = max(found.width or 0.0, share * abs(found.value))
+    of = 1.0 - found.value if name == "floor_share" else found.value  # walls carry the rest
+    width = max(found.width or 0.0, share * abs(of))
     return replace(found, width=width, reliable=False, why=why, average=None)
 
 
@@ -93,25 +95,22 @@ def _residence(seen: GrainObservations) -> Estimate:
 
 def _speed(seen: GrainObservations) -> Estimate:
     """Mean speed of the particles, each by its mass."""
-    frames = seen.frames(seen.of_window)
-    return seen.over_frames(np.array([np.average(np.linalg.norm(f.v, axis=1), weights=f.mass) for f in frames]))
+    found = [
+        float(np.average(np.linalg.norm(f.v, axis=1), weights=f.mass)) if len(f.x) else np.nan
+        for f in seen.flowing(seen.of_window)
+    ]
+    return seen.over_frames(np.array(found))
 
 
 def _temperature(seen: GrainObservations) -> Estimate:
-    """Granular temperature about the mean profile, each particle by its mass; its width is that of parts of the run."""
-    found = []
-    for part in seen.part_profiles:
-        there = np.isfinite(part.temperature)
-        found.append(float(np.average(part.temperature[there], weights=part.density[there])))
-    return _of_parts(found)
+    """Granular temperature about the affine motion of `CELL` neighbours, in each frame."""
+    flat = 2 if seen.scene.layer else 3
+    values = [local_temperature(f.x, f.v, cells_of(f.x, CELL), flat) for f in seen.flowing(seen.of_window)]
+    return seen.over_frames(np.array(values))
 
 
 def _exponent(seen: GrainObservations) -> Estimate:
-    return _of_parts(seen.exponents.tolist())
-
-
-def _of_parts(values: list[float]) -> Estimate:
-    found = average_of_samples(values)
+    found = average_of_samples(seen.exponents)
     return Estimate(value=found.mean, width=found.uncertainty, reliable=found.reliable, why=found.why, chance=True)
 
 
@@ -122,7 +121,7 @@ def _dissipation(seen: GrainObservations) -> Estimate:
     if seen.series.facts.outlets or any(group.place == "stream" for group in seen.scene.particles.values()):
         raise InputError("particles come or go: the energy that they carry is not recorded")
     gravity = np.asarray(seen.scene.gravity)
-    power = seen.over_frames(np.array([f.mass @ (f.v @ gravity) for f in seen.frames(seen.of_window)]))
+    power = seen.over_frames(np.array([f.mass @ (f.v @ gravity) for f in seen.flowing(seen.of_window)]))
     rows = rows_from(seen.series, seen.window.begin)
     energy = (seen.series.kinetic_energy + seen.series.kinetic_rotation)[rows]
     grown = float(energy[-1] - energy[0]) / float(np.ptp(seen.series.t[rows]))
@@ -170,6 +169,8 @@ def _anisotropy(seen: GrainObservations) -> Estimate:
     """At rest it is known to what chance gives of so many contacts."""
     if not seen.resting:
         return seen.over_frames(np.array([one.anisotropy for one in seen.packings]))
+    if not np.isfinite(seen.packings[-1].chance):
+        raise InputError("no contact in the bulk")
     return Estimate(value=seen.packings[-1].anisotropy, width=2.0 * seen.packings[-1].chance, chance=True)
 
 

@@ -28,6 +28,7 @@ from kncal.observe.surface import (
     SurfaceFit,
     angles_of_parts,
     cone_fit,
+    only,
     parts_of_cone,
     parts_of_slope,
     slope_fit,
@@ -39,7 +40,7 @@ from kncal.scene.scene import Scene
 from kncal.scene.walls import BoxWall, CylinderWall
 
 #: Most frames that are looked at for what is dear in each, and for the mixing curve.
-MOST_FRAMES, MOST_MIXTURES = 25, 200
+MOST_FRAMES, MOST_MIXTURES = 50, 200
 #: Parts of the frames of a run whose profiles give a width.
 _PARTS = 8
 #: A wall with more than this share of its force in the lowest bins is a floor there.
@@ -97,6 +98,12 @@ class GrainObservations:
             t = float(series.t_frame[frame])
             yield Grains(t=t, x=x, v=v, spin=spin, radius=radii[kind], mass=masses[kind], kind=kind, row=row)
 
+    def flowing(self, of: NDArray[np.int64]) -> Iterator[Grains]:
+        """Yield frames without the particles that are held in place."""
+        held = np.array([self.scene.particles[name].frozen for name in self.series.facts.groups])
+        for frame in self.frames(of):
+            yield only(frame, ~held[frame.kind]) if held.any() else frame
+
     @cached_property
     def of_window(self) -> NDArray[np.int64]:
         """Numbers of the frames of the window (of the steady flow, where particles run out), at most `MOST_FRAMES`."""
@@ -114,7 +121,7 @@ class GrainObservations:
             raise InputError("no frame was recorded: expected one; set run.frames_every")
         (found,) = self.frames(np.array([len(self.series.t_frame) - 1]))
         if not len(found.x):
-            raise InputError("no particle is left in the last frame")
+            raise InputError("no particle is left in the last frame: expected some")
         return found
 
     @cached_property
@@ -194,7 +201,7 @@ class GrainObservations:
 
     def _profile(self, frames: NDArray[np.int64]) -> Profile:
         axis, flat = "xyz".index(self.scene.observe.profile), 2 if self.scene.layer else 3
-        return profile(lambda: self.frames(frames), self.space, axis, self.width, flat=flat)
+        return profile(lambda: self.flowing(frames), self.space, axis, self.width, flat=flat)
 
     @cached_property
     def part_profiles(self) -> tuple[Profile, ...]:
@@ -205,7 +212,7 @@ class GrainObservations:
     def exponents(self) -> Array:
         """Exponents of the flowing layer, of parts of the window."""
         axis = "xyz".index(self.scene.observe.profile)
-        flow = int(np.nanargmax(np.abs(np.nanmean(self.profile.velocity, axis=0))))
+        flow = self.profile.flow
         if not self.space.periodic[flow] or self.space.periodic[axis] or flow == axis:
             raise InputError("no layer that flows along a periodic direction: it has no profile of its own")
         away = 3.0 * self.scene.d_max
@@ -247,7 +254,7 @@ class GrainObservations:
         """How the groups mix over the whole run, frames without two groups left out."""
         found = []
         even = np.flatnonzero(evenly(self.series.frame_coupling))
-        for frame in self.frames(_thinned(even, MOST_MIXTURES)):
+        for frame in self.flowing(_thinned(even, MOST_MIXTURES)):
             try:
                 found.append((frame.t, self.mixture(frame)))
             except InputError:

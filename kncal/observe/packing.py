@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from kncal.observe.grains import Grains, Space
 from kncal.observe.mixing import cells_of
 from kncal.observe.surface import bulk_value
 
+_T = TypeVar("_T", bound=np.generic)
 #: What is nearer than this many widths of the kernel to a wall or a surface is not bulk.
 AWAY = 2.0
 
@@ -62,7 +64,7 @@ class Packed:
     coordination : mean number of contacts of a particle that is no rattler
     precision : how much of it hangs on whether pairs at the limit of the positions' precision touch
     rattlers : share of particles that carry nothing
-    anisotropy, chance : see `anisotropy`
+    anisotropy, chance : see `anisotropy`; NaN without contacts
     each : (p, 2) coordination and rattlers of eight parts of the bulk
     """
 
@@ -93,6 +95,8 @@ def packed(grains: Grains, space: Space, width: float, resolution: float, least:
     found = contacts(grains, space, resolution)
     carry, number = backbone(found, ~inside.grains, least)
     rows = np.flatnonzero(inside.grains)
+    if len(rows) < 2:
+        raise InputError("fewer than two particles are farther inside: expected a larger packing")
     sure = number - np.bincount(found.pairs[np.abs(found.overlap) <= resolution].ravel(), minlength=len(number))
 
     def numbers(part: NDArray[np.int64]) -> tuple[float, float, tuple[float, float]]:
@@ -100,11 +104,11 @@ def packed(grains: Grains, space: Space, width: float, resolution: float, least:
         among = np.zeros(len(carry), dtype=bool)
         among[those] = True
         touching = among[found.pairs].any(axis=1)
-        turned = anisotropy(found.normal[touching]) if touching.any() else (0.0, np.inf)
+        turned = anisotropy(found.normal[touching]) if touching.any() else (np.nan, np.nan)
         return float(number[those].mean()) if len(those) else 0.0, 1.0 - len(those) / max(len(part), 1), turned
 
     mean, rattlers, turned = numbers(rows)
-    cell = cells_of(grains.x[rows], max(len(rows) // 8, 1)) if len(rows) > 1 else np.zeros(len(rows), np.int64)
+    cell = cells_of(grains.x[rows], max(len(rows) // 8, 1))
     lost = mean - float(sure[rows[carry[rows]]].mean()) if carry[rows].any() else 0.0
     return Packed(
         bulk=inside,
@@ -120,24 +124,26 @@ def packed(grains: Grains, space: Space, width: float, resolution: float, least:
 def bulk(grains: Grains, space: Space, width: float) -> Bulk:
     """Return the bulk of a packing and its solids fraction; ``width`` of the coarse-graining kernel [m].
 
-    Bulk are the cells that are farther than the kernel's reach and `AWAY` widths from where the fraction falls below
-    half of the bulk's own value. So the smoothed fraction there is of the packing alone, and its mean over the cells is
-    that of the packing but for the fluctuation in the layer of a kernel at the rim.
+    Bulk are the cells that are farther than `AWAY` widths, along each axis, from where the fraction falls below half of
+    the bulk's own value: from walls and surfaces, whatever their shape. There the smoothed fraction is that of the
+    packing but for the tail of the kernel.
 
     Raises
     ------
     InputError
         If nothing is that far inside.
     """
-    from scipy.ndimage import distance_transform_edt
+    from scipy.ndimage import distance_transform_cdt
 
+    if not len(grains.x):
+        raise InputError("no particle is there: expected a packing")
     grid = grid_for(*_room(space, width), space.periodic, width)
     solids = grid.spread(space.wrapped(grains.x), grains.volume[:, None])[..., 0]
     dense = solids >= 0.5 * bulk_value(solids)
     around = [(n, n) if p else (1, 1) for n, p in zip(grid.cells, space.periodic, strict=True)]
     padded = np.pad(dense, [(0, 0) if p else (1, 1) for p in space.periodic])
     padded = np.pad(padded, [pad if p else (0, 0) for pad, p in zip(around, space.periodic, strict=True)], mode="wrap")
-    inside = slice_back(distance_transform_edt(padded, sampling=grid.step), around) > AWAY * width
+    inside = slice_back(distance_transform_cdt(padded), around) * grid.step.min() > AWAY * width
     inside |= np.full(grid.cells, bool(dense.all() and all(space.periodic)))
     if not inside.any():
         raise InputError(
@@ -153,7 +159,7 @@ def bulk(grains: Grains, space: Space, width: float) -> Bulk:
     )
 
 
-def slice_back(field: Array, around: list[tuple[int, int]]) -> Array:
+def slice_back(field: NDArray[_T], around: list[tuple[int, int]]) -> NDArray[_T]:
     """Return a field (3 dimensions) without the cells that were put around it."""
     return field[tuple(slice(low, n - high) for (low, high), n in zip(around, field.shape, strict=True))]
 

@@ -97,7 +97,7 @@ class RunData:
         facts, grains = series.facts, self._granular
         has |= {
             "frames:grains": grains and has["frames"],
-            "frames:kinds": grains and has["frames"] and len(facts.groups) > 1,
+            "frames:kinds": grains and has["frames"] and self._loose_kinds > 1,
             "frames:surface": grains and has["frames"] and self.model.scene.observe.surface is not None,
             "series:outlets": len(facts.outlets) > 0,
             "series:grains": grains,
@@ -129,6 +129,12 @@ class RunData:
         if not self._granular:
             return None
         return GrainObservations(series=self.series, scene=self.model.scene, window=self.seen.window)
+
+    @property
+    def _loose_kinds(self) -> int:
+        """Number of kinds of particles that are not held in place."""
+        groups = self.model.scene.particles
+        return sum(not groups[name].frozen for name in self.series.facts.groups if name in groups)
 
     @property
     def _granular(self) -> bool:

@@ -227,8 +227,8 @@ def _fitted(s: Array, h: Array, width: float, across: tuple[float, float, float]
         mask = _flank(s, h, width, share)
         if mask.sum() < _FEWEST:
             raise InputError(f"{mask.sum()} columns of the surface could be fitted: expected at least {_FEWEST}")
-        line = theilslopes(h[mask], s[mask])
-        lines.append((float(line.slope), float(line.intercept), mask))
+        slope = float(theilslopes(h[mask], s[mask]).slope)
+        lines.append((slope, float(np.median(h[mask] - slope * s[mask])), mask))
     slope, offset, mask = lines[0]
     angles = [float(np.degrees(np.arctan(abs(line[0])))) for line in lines]
     return SurfaceFit(

@@ -75,7 +75,7 @@ def silo(edges: Array, weight: Array, carried: Array) -> Silo:
         top=float(edges[last + 1] + weight[last + 1 :].sum() / per_height),
         length=length,
         limit=per_height * length,
-        spread=0.5 * abs(ends[0] - ends[1]),
+        spread=0.5 * abs(ends[0] - ends[1]) if np.isfinite(ends).all() else length,
         fitted=full,
     )
 

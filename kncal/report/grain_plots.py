@@ -28,7 +28,7 @@ def surfaces(runs: GrainRuns) -> Axes:
     fits = {kind: (seen, seen.fits[-1], seen.last) for kind, seen in runs.items()}
     places = {kind: seen_along(fit, last, seen.space, seen.centre) for kind, (seen, fit, last) in fits.items()}
     wide = max(float(np.ptp(s)) / max(float(np.ptp(h)), 1e-12) for s, h, _ in places.values())
-    height = float(np.clip(8.4 / len(runs) / wide + 1.7, 2.6, 5.4))
+    height = float(np.clip(8.4 / len(runs) / wide + 1.5, 2.3, 5.4))
     axes = panels(1, len(runs), 4.6 * len(runs) + 0.4, height, sharey=True)
     factor, unit = si_prefix(np.concatenate([np.concatenate(place[:2]) for place in places.values()]), "m")
     for ax, (kind, (seen, fit, _)) in zip(axes, fits.items(), strict=True):
@@ -73,7 +73,7 @@ def profiles(runs: GrainRuns) -> Axes:
     found = {kind: seen.profile for kind, seen in runs.items()}
     first = next(iter(found.values()))
     moving = any(not seen.resting for seen in runs.values())
-    flow = int(np.argmax([abs(float(np.nanmean(first.velocity[:, i]))) for i in range(3)]))
+    flow = first.flow
     columns: list[tuple[str, Any]] = [("solids fraction [–]", lambda p: p.fraction)]
     if moving:
         columns += [

@@ -74,7 +74,8 @@ def _draw(arrays: Mapping[str, Any]) -> bytes:
     label, *names = (str(text) for text in arrays["text"])
     count = sum(name.startswith("title") for name in arrays)
     values = np.concatenate([arrays[f"value{k}"] for k in range(count)])
-    limits = (0.0, float(np.quantile(values, 0.99))) if not names else (-0.5, len(names) - 0.5)
+    low = 0.0 if label.startswith("speed") else float(values.min())
+    limits = (low, float(np.quantile(values, 0.99))) if not names else (-0.5, len(names) - 0.5)
     plotter = pyvista.Plotter(off_screen=True, shape=(1, count), window_size=(PANEL[0] * count, PANEL[1]), border=False)
     for k in range(count):
         plotter.subplot(0, k)
@@ -133,7 +134,7 @@ def _look(plotter: Any, arrays: Mapping[str, Any], k: int) -> None:
     x, walls = arrays[f"x{k}"], arrays[f"walls{k}"].reshape(-1, 3)
     low, high = x.min(axis=0), x.max(axis=0)
     if len(walls):  # as much of them as is near the particles
-        room = 0.4 * (high - low).max()
+        room = 0.25 * (high - low).max()
         low = np.maximum(low - room, np.minimum(walls.min(axis=0), low))
         high = np.minimum(high + room, np.maximum(walls.max(axis=0), high))
     middle, reach = 0.5 * (low + high), float(np.linalg.norm(high - low))

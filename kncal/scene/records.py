@@ -10,7 +10,7 @@ def records_of(scene: Scene) -> tuple[str, ...]:
     """Return the names of `kncal.scene.metrics.RECORDS` that a run of ``scene`` will have."""
     if not scene.coupled:
         return FEW_PARTICLES
-    groups = list(scene.particles.values())
+    groups = [group for group in scene.particles.values() if not group.frozen]
     box = scene.run.coupling is not None  # a bed that may be given a gas keeps its tolerances without one
     grains = scene.gas is None and not scene.frozen
     has = {

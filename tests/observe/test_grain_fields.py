@@ -4,29 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from seen_grains import D, grains
 
 from kncal.core.errors import InputError
-from kncal.observe.coarse_graining import grid_for, profile
-from kncal.observe.grains import Grains, Space
+from kncal.observe.coarse_graining import grid_for, local_temperature, profile
+from kncal.observe.grains import Space
+from kncal.observe.mixing import cells_of
 from kncal.observe.surface import angles_of_parts, cone_fit, parts_of_cone, parts_of_slope, slope_fit
 
-D = 2e-3
 BOX = Space(low=(0.0, 0.0, 0.0), high=(0.06, 0.02, 0.05), periodic=(False, True, False), up=(0.0, 0.0, 1.0))
-
-
-def grains(x, v=None, d=D, t=0.0):
-    n = len(x)
-    radius = np.broadcast_to(np.asarray(d) / 2.0, (n,)).astype(float)
-    return Grains(
-        t=t,
-        x=np.asarray(x, dtype=float),
-        v=np.zeros((n, 3)) if v is None else v,
-        spin=np.zeros((n, 3)),
-        radius=radius,
-        mass=2500.0 * 4.0 / 3.0 * np.pi * radius**3,
-        kind=np.zeros(n, dtype=np.int64),
-        row=np.arange(n),
-    )
 
 
 def uniform(rng, n, low, high):
@@ -91,6 +77,23 @@ def test_temperature_is_the_variance_per_direction_also_in_a_shear():
     assert found.temperature[inner].mean() == pytest.approx(0.02**2, rel=0.03)
     half = found.spread[inner, 0]  # 95 % intervals of the mean velocity hold the true one nearly always
     assert (np.abs(found.velocity[inner, 0] - 3.0 * found.at[inner]) < 2.0 * half).mean() > 0.9
+
+
+def test_the_local_temperature_is_free_of_flow_and_of_bias():
+    rng = np.random.default_rng(15)
+    x = uniform(rng, 4000, BOX.low, BOX.high)
+    turning = np.cross([0.0, 30.0, 0.0], x) + 5.0 * x[:, [2]] * [1.0, 0.0, 0.0] + [0.1, 0.2, 0.3]
+    cell = cells_of(x, 25)
+    assert local_temperature(x, turning, cell) < 1e-20
+    found = [local_temperature(x, turning + rng.normal(0.0, 0.02, x.shape), cell) for _ in range(20)]
+    assert np.mean(found) == pytest.approx(0.02**2, abs=4.0 * np.std(found) / np.sqrt(20))
+    layer = x * [1.0, 0.0, 1.0]
+    flat = [
+        local_temperature(layer, rng.normal(0.0, 0.02, x.shape) * [1, 0, 1], cells_of(layer, 25), 2) for _ in range(20)
+    ]
+    assert np.mean(flat) == pytest.approx(0.02**2, abs=4.0 * np.std(flat) / np.sqrt(20))
+    with pytest.raises(InputError, match="four"):
+        local_temperature(x[:4], x[:4], np.zeros(4, dtype=np.int64))
 
 
 def test_a_grid_says_what_it_cannot_be():

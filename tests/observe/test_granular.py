@@ -2,63 +2,15 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
+from seen_grains import BOX, DT, MASS, D, G, chute, pile, seen_of
 
-from kncal.observe.averages import window_start
 from kncal.observe.grain_metrics import GRAIN_METRICS, grain_estimate
-from kncal.observe.granular import GrainObservations
 from kncal.scene.metrics import METRICS
 from kncal.scene.walls import CylinderWall
 
 pytestmark = pytest.mark.slow
-
-D, DENSITY, G, DT = 2e-3, 2500.0, 9.81, 0.01
-MASS = DENSITY * np.pi / 6.0 * D**3
-_OBSERVE = {"surface": None, "axis": "y", "centre": (0, 0), "width": None, "profile": "z", "cell_number": 25}
-BOX = ((0.0, 0.0, 0.0), (0.06, 0.02, 0.05))
-
-
-def seen_of(
-    frames, *, v=None, kinds=None, speeds=None, out=None, inside=None, walls=None, tilt=0.0, outlets=("out",), **observe
-):
-    """A record of frames (n, 3), one per ten intervals, as observers read it."""
-    couplings, number = 10 * (len(frames) - 1), len(frames[0])
-    t = DT * np.arange(1, couplings + 1)
-    v = [np.zeros((number, 3))] * len(frames) if v is None else v
-    there = [np.isfinite(x[:, 0]) for x in frames]
-    kind = np.zeros(number, dtype=np.int16) if kinds is None else kinds
-    inside = np.full(couplings, MASS * there[-1].sum()) if inside is None else inside
-    energy = 0.5 * inside * np.broadcast_to(np.sqrt(3.0) * 0.1 if speeds is None else speeds, t.shape) ** 2
-    up = (float(np.sin(tilt)), 0.0, float(np.cos(tilt)))
-    facts = SimpleNamespace(
-        count=number, gas_density=0.0, gravity=G, diameter=D, coupling=DT, radii=(D / 2,) * 3, masses=(MASS,) * 3,
-        groups=("red", "blue", "blue"), walls=("floor", "wall"), outlets=outlets, low=BOX[0], size=BOX[1],
-        periodic=("x", "y"), up=up, heights=np.linspace(0.0, BOX[1][2], 26),
-    )  # fmt: skip
-    series = SimpleNamespace(
-        facts=facts, t=t, U_0=np.zeros(couplings), contacts=np.ones(couplings),
-        floor=np.ones(couplings), p_in=np.full(couplings, np.nan),
-        z_mean=np.ones(couplings), kinetic_energy=energy, kinetic_rotation=0.4 * energy, mass=inside,
-        out_mass=(np.zeros(couplings) if out is None else out)[:, None], t_frame=DT * 10 * np.arange(len(frames)),
-        frame_coupling=10 * np.arange(len(frames)),
-        x=[x.astype(np.float32) for x in frames], v=v, spin=[np.zeros((number, 3))] * len(frames),
-        kind=[np.where(here, kind, -1) for here in there], wall_force=walls,
-    )  # fmt: skip
-    scene = SimpleNamespace(
-        observe=SimpleNamespace(**_OBSERVE | observe),
-        d_max=D, layer=None, contact=SimpleNamespace(friction=0.5, pairs=()), walls={}, particles={},
-        gravity=tuple(-G * np.array(up)),
-    )  # fmt: skip
-    return GrainObservations(series=series, scene=scene, window=window_start(series))
-
-
-def pile(rng, slope, n=7000):
-    x = rng.uniform(BOX[0], BOX[1], (n, 3))
-    x[x[:, 2] > 0.025 + slope * (x[:, 0] - 0.03)] = np.nan
-    return x
 
 
 def covered(found, truth, slack=1.0):
@@ -136,17 +88,6 @@ def test_mixing_over_time():
     assert segregation.value == pytest.approx(1.0 / 31.25, abs=0.01)
 
 
-def chute(tilt, n=1.5, noise=0.0):
-    rng, height, frames, speeds = np.random.default_rng(6), 0.045, [], []
-    for _ in range(41):
-        x = rng.uniform(BOX[0], (0.06, 0.02, height), (6000, 3))
-        v = rng.normal(0.0, noise, x.shape) if noise else np.zeros_like(x)
-        v[:, 0] -= 0.2 + 0.8 * (1.0 - (1.0 - x[:, 2] / height) ** n)
-        frames.append(x)
-        speeds.append(v)
-    return seen_of(frames, v=speeds, tilt=tilt, outlets=())
-
-
 @pytest.mark.parametrize("exponent", [1.0, 1.5])
 def test_a_layer_that_flows_has_its_exponent_and_loses_what_gravity_gives(exponent):
     tilt = np.radians(24.0)
@@ -158,7 +99,7 @@ def test_a_layer_that_flows_has_its_exponent_and_loses_what_gravity_gives(expone
     covered(grain_estimate(seen, "speed"), mean, 2.0)
 
 
-def test_the_temperature_is_that_about_the_mean_profile():
+def test_the_temperature_is_that_about_the_local_motion():
     seen = chute(0.0, 1.5, noise=0.05)
     assert grain_estimate(seen, "granular_temperature").value == pytest.approx(0.05**2, rel=0.03)
 
@@ -200,3 +141,19 @@ def test_a_packing_with_holes_at_rest_has_a_fraction_with_a_width():
     # neighbours just touch, so that single precision cannot tell: the width says so
     contacts = grain_estimate(seen, "coordination")
     assert contacts.width > 1.0 and abs(contacts.value - 6 * 0.9) < contacts.width
+
+
+@pytest.mark.parametrize("left", [0, 1, 2, 30])
+def test_of_what_is_too_little_every_metric_says_why(left):
+    rng = np.random.default_rng(9)
+    frames = [pile(rng, 0.1, 300) for _ in range(30)]
+    for x in frames[15:]:
+        x[left:] = np.nan
+    inside = MASS * np.repeat([np.isfinite(x[:, 0]).sum() for x in frames[1:]], 10)
+    for speeds in (0.1, 1e-5):
+        seen = seen_of(
+            frames, inside=inside, speeds=np.full(290, speeds), surface="slope", walls=np.zeros((290, 1, 25, 3))
+        )
+        for name in GRAIN_METRICS:
+            found = grain_estimate(seen, name)
+            assert found.why if found.value is None else np.isfinite(found.value), name

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_grain_fields import grains
+from seen_grains import D, grains
 
 from kncal.core.errors import InputError
 from kncal.observe.grains import Space
@@ -17,7 +17,6 @@ LATTICES = {
     "bcc": ([(0, 0, 0), (0.5, 0.5, 0.5)], np.pi * np.sqrt(3.0) / 8.0, 8, 2.0 / np.sqrt(3.0)),
     "fcc": ([(0, 0, 0), (0.5, 0.5, 0), (0.5, 0, 0.5), (0, 0.5, 0.5)], np.pi / np.sqrt(18.0), 12, np.sqrt(2.0)),
 }
-D = 2e-3
 
 
 def lattice(name, cells=(10, 10, 10), d=D, closer=1e-4):
