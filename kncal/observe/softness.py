@@ -7,7 +7,7 @@ too far.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +19,7 @@ from kncal.observe.run_data import RunData
 from kncal.physics.calibration import OVERLAP_DOUBTFUL
 from kncal.physics.material import sphere_mass
 from kncal.physics.statistics import MIN_SAMPLES, average, start_up
+from kncal.record.series import BedSeries
 from kncal.scene.bodies import Particle
 from kncal.scene.load import bottom_overlaps
 from kncal.scene.model import PairContact, Plan
@@ -125,13 +126,13 @@ def _of_signals(data: RunData, reference: RunData | None) -> tuple[Sign, ...]:
     if not model.contacts or not np.isfinite(series.overlap_max).any():
         return ()
     d = series.facts.diameter
-    begin = start_up(series.z_mean)
+    begin = _settled(series)
     largest = float(np.nanmax(series.overlap_max))
     mean = float(np.nanmean(series.overlap_mean[begin:]))
     found = [
         _overlap_share(largest / (0.5 * d), "between two particles, of the whole run"),
         _mean_overlap(mean / d),
-        _leaking(sum(_beyond(x, series.facts.size, series.facts.front_back) for x in series.x), largest / (0.5 * d)),
+        *_leaks(data, largest / (0.5 * d)),
         *model_signs(model),
     ]
     if reference is not None and np.isfinite(reference.series.contacts).any():
@@ -152,11 +153,11 @@ def _sound_of(model: Plan, reference: Plan | None = None) -> Sign:
 
 def _contact_number(data: RunData, reference: RunData) -> Sign:
     """Contacts per particle against the reference: changed if the whole interval is beyond the limit."""
-    count = max(data.series.facts.count, 1)
     sides = []
     for series in (data.series, reference.series):
-        begin = float(series.t[min(start_up(series.z_mean), max(len(series.t) - MIN_SAMPLES, 0))])
-        sides.append(averaged(average(series.t, 2.0 * series.contacts / count, begin), begin, float(series.t[-1])))
+        begin = float(series.t[min(_settled(series), max(len(series.t) - MIN_SAMPLES, 0))])
+        each = 2.0 * series.contacts / np.maximum(series.number, 1)
+        sides.append(averaged(average(series.t, each, begin), begin, float(series.t[-1])))
     here, there = sides
     between = apart(here, there, abs(there.value or math.nan), ("run", "reference"))
     relative, width = between.value or 0.0, between.deciding
@@ -167,6 +168,19 @@ def _contact_number(data: RunData, reference: RunData) -> Sign:
         f" {100.0 * relative:+.2g} ± {100.0 * width:.2g} %{undecided}."
     )
     return _sign("contact_number", relative, text, changed=found == "outside")
+
+
+def _settled(series: BedSeries) -> int:
+    """Return the coupling at which the height of the particles has settled; while there are none it is not known."""
+    there = np.flatnonzero(np.isfinite(series.z_mean))
+    return int(there[0]) + start_up(series.z_mean[there]) if len(there) else 0
+
+
+def _leaks(data: RunData, softness: float) -> Iterator[Sign]:
+    """Yield whether particles leave through the walls of a box, where these are all walls."""
+    facts = data.series.facts
+    if data.model.scene.run.coupling is not None:
+        yield _leaking(sum(_beyond(x, facts.size, facts.front_back) for x in data.series.x), softness)
 
 
 def _beyond(x: Array | np.ndarray[tuple[int, ...], np.dtype[np.float32]], size: Iterable[float], depth: str) -> int:

@@ -305,3 +305,36 @@ def test_a_reference_converges_only_when_it_stands_still(found):
     reference = Reference(run=runs[200.0], until=1e-5, contacts=1)
     assert reference.step("trajectory", 1.0, runs[200.0], runs[200.0]) == 0.0
     assert np.isfinite(reference.differences(runs[100.0])["trajectory"].difference.value)
+
+
+def test_a_softened_contact_softens_every_wall_of_a_scene(tmp_path):
+    """Walls of one material have one contact; an exception that names one of them would leave the others stiff."""
+    text = """
+gravity = [0.0, 0.0, -9.81]
+materials.glass = {young = 5e6, poisson = 0.3, density = 2500}
+contact = {e_n = 0.5, v_0 = 0.3, friction = 0.5}
+run = {until_time = 0.1, sample_every = 1e-3}
+[particles.beads]
+material = "glass"
+sizes.shares = [[2e-3, 0.5], [3e-3, 0.5]]
+count = 100
+place = "lattice"
+region = {shape = "cylinder", radius = 0.02, low = 0.0, high = 0.1}
+[walls.tube]
+shape = "cylinder"
+radius = 0.02
+material = "glass"
+[walls.floor]
+shape = "disc"
+centre = [0.0, 0.0, 0.0]
+radius = 0.02
+material = "glass"
+"""
+    (tmp_path / "case.toml").write_text(text)
+    scene = load_case(tmp_path)
+    hard = plan(scene, ("linear",))["linear"]
+    changes = softened(tmp_path, scene, hard, 0.01, {})
+    soft = plan(load_case(tmp_path, overrides=texts(changes)), ("linear",))["linear"]
+    for one in scene.spheres:
+        for other in scene.bodies:
+            assert soft.between(one.name, other.name).k == pytest.approx(0.01 * hard.between(one.name, other.name).k)

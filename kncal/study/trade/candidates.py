@@ -146,8 +146,9 @@ def softened(case: str | Path, scene: Scene, unsoftened: Plan, factor: float, st
         changes = {key: value for key, value in stripped.items() if not key.startswith("contact.pairs.")}
         rows = []
         species = unsoftened.species
-        bodies = map(species.bodies, wanted) if scene.coupled else scene.body_pairs()
-        for a, b in bodies:
+        # an exception names bodies: one for each wall of a species, too
+        every = ((species.bodies(pair)[0], b) for pair in wanted for b in species.members[pair[1]])
+        for a, b in every if scene.coupled else scene.body_pairs():
             numbers = pair_choice(scene, a, b)
             row = {key: value for key, value in numbers._asdict().items() if value is not None}
             rows.append({"between": [a.name, b.name], **row, "k_n": wanted[species.pair_of((a.name, b.name))]})
