@@ -179,15 +179,33 @@ def placed_mesh(wall: MeshWall, path_of: PathOf) -> Array:
     return np.asarray(wall.scale * own @ turn.T + np.array(wall.move))
 
 
-def distance_to(wall: WallKeys, points: Array, *, path_of: PathOf) -> Array:
-    """Return the distance (n,) [m] of each of ``points`` (n, 3) [m] from a wall at the start."""
+def distance_to(wall: WallKeys, points: Array, *, path_of: PathOf, open_axes: str = "") -> Array:
+    """Return the distance (n,) [m] of each of ``points`` (n, 3) [m] from a wall at the start.
+
+    ``open_axes``: on which a box has no sides, as "y".
+    """
     if isinstance(wall, PlaneWall):
         return np.asarray(np.abs(points[:, AXES.index(wall.axis)] - wall.position))
+    if isinstance(wall, BoxWall):
+        return _from_box(points, np.array(wall.low), np.array(wall.high), open_axes)
     if (line := revolved(wall)) is not None:
         h = (points - line.origin) @ line.axis
         r = np.linalg.norm(points - line.origin - h[:, None] * line.axis, axis=1)
         return _from_segment(np.stack([r, h], axis=1), np.array(line.start), np.array(line.end))
     return distance_to_faces(faces(wall, path_of=path_of), points)
+
+
+def _from_box(points: Array, low: Array, high: Array, open_axes: str) -> Array:
+    """Distance (n,) of points (n, 3) from the sides of a box that it has."""
+    beyond = points - np.clip(points, low, high)
+    beyond[:, [axis in open_axes for axis in AXES]] = 0.0
+    found = np.full(len(points), np.inf)
+    for k in (k for k, axis in enumerate(AXES) if axis not in open_axes):
+        for end in (low[k], high[k]):
+            away = beyond.copy()
+            away[:, k] = points[:, k] - end
+            found = np.minimum(found, np.linalg.norm(away, axis=1))
+    return found
 
 
 def _from_segment(points: Array, start: Array, end: Array) -> Array:

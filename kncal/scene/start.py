@@ -64,6 +64,22 @@ def _check(scene: Scene, start: Start) -> None:
             f"{scene.name}: {len(deep)} pairs of particles start in one another by a radius or more, the first at "
             f"{start.x[i].tolist()} and {start.x[j].tolist()}: expected less"
         )
+    _check_walls(scene, start, radii)
+
+
+def _check_walls(scene: Scene, start: Start, radii: Array) -> None:
+    """Refuse particles that move and start in a wall by more than half their radius: it would throw them out."""
+    held = np.array([scene.particles[c.group].frozen for c in scene.classes])[start.kind]
+    for name, wall in scene.walls.items():
+        deep = np.flatnonzero(
+            (distance_to(wall, start.x, path_of=scene.path_of, open_axes=scene.open_axes) < 0.5 * radii) & ~held
+        )
+        if len(deep):
+            k = int(deep[0])
+            raise InputError(
+                f"{scene.name}: {len(deep)} particles start in walls.{name} by more than half their radius, the first "
+                f"of {scene.classes[start.kind[k]].name} at {start.x[k].tolist()}: expected less"
+            )
 
 
 def _group(scene: Scene, name: str, there: Start) -> Iterator[Start]:
@@ -96,7 +112,7 @@ def _free(scene: Scene) -> Callable[[Array, Array], NDArray[np.bool_]]:
     def free(points: Array, radii: Array) -> NDArray[np.bool_]:
         found = np.ones(len(points), dtype=bool)
         for wall in scene.walls.values():
-            found &= distance_to(wall, points, path_of=scene.path_of) >= radii
+            found &= distance_to(wall, points, path_of=scene.path_of, open_axes=scene.open_axes) >= radii
         return found
 
     return free

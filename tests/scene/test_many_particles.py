@@ -219,3 +219,13 @@ def test_a_stream_denser_than_particles_can_be_inserted_is_refused(rate: float, 
     made = scene(CONE + BEADS.replace('place = "lattice"', flowing))
     found = [f for f in check(plan(made, ("linear",))["linear"]) if f.code == "stream-dense"]
     assert bool(found) == refused
+
+
+def test_particles_that_start_in_a_wall_are_refused_at_its_name() -> None:
+    """Not those at a periodic side of a box, where it has none, and not those that cannot move."""
+    bead = '[particles.bead]\nmaterial = "glass"\ndiameter = 2e-3\nposition = [0.0004, 0.005, 0.005]\n'
+    box = '[walls.box]\nshape = "box"\nsize = [0.01, 0.01, 0.01]\n'
+    with pytest.raises(InputError, match=r"walls\.box by more than half"):
+        start_of(scene(bead + box))
+    assert len(start_of(scene(bead.replace("0.0004", "0.0006") + box)).x) == 1
+    assert len(start_of(scene(bead + box, head='periodic = ["x"]\n' + HEAD)).x) == 1

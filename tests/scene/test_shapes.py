@@ -11,7 +11,7 @@ import pytest
 
 from kncal.core.checks import Array
 from kncal.core.errors import ReadError
-from kncal.scene.shapes import CHORD, bounds_of, distance_to, faces, write_stl
+from kncal.scene.shapes import CHORD, bounds_of, distance_to, distance_to_faces, faces, write_stl
 from kncal.scene.wall_motion import fastest, pose, swept, when
 from kncal.scene.walls import WALLS, MeshWall, Oscillation, Rotation, Translation, WallKeys
 
@@ -94,6 +94,16 @@ def test_distances_are_those_of_closed_forms() -> None:
     assert distance_to(tube, np.array([[7.0, 0.1, 0.3]]), path_of=nowhere) == pytest.approx([0.2])
     ring = made("disc", centre=(0, 0, 0), radius=0.3, hole=0.1)
     assert distance_to(ring, np.array([[0.0, 0.0, 0.2]]), path_of=nowhere) == pytest.approx([math.hypot(0.1, 0.2)])
+
+
+def test_distances_from_a_box_are_those_of_its_triangles_and_of_the_sides_it_has() -> None:
+    box = made("box", size=(1.0, 2.0, 3.0), low=(-0.5, 0.0, 1.0))
+    points = np.random.default_rng(2).uniform(-2.0, 5.0, (50, 3))
+    for open_axes in ("", "y", "xz"):
+        extent = (np.full(3, -50.0), np.full(3, 50.0))
+        triangles = faces(box, path_of=nowhere, extent=extent, open_axes=open_axes)
+        expected = distance_to_faces(triangles, points)
+        assert distance_to(box, points, path_of=nowhere, open_axes=open_axes) == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.slow
