@@ -24,8 +24,9 @@ from kncal.scene.species import SpeciesPair, species_of
 
 #: Records that take more than this are refused before the run [bytes]: a report reads all of them.
 MOST_SERIES_BYTES = 8 * 1024**3
-#: What is recorded of a coupling [bytes], two histograms of impact speeds and one of overlaps the most of it.
-COUPLING_BYTES = 2700
+#: What is recorded of a coupling [bytes]: a histogram of overlaps; of each pair of species one of impact speeds; of each
+#: wall forces by height.
+COUPLING_BYTES, PAIR_BYTES, WALL_BYTES = 1550, 590, 480
 #: More steps than this are refused before the run rather than after a day.
 MOST_STEPS = 500_000_000
 
@@ -275,11 +276,13 @@ def _coupled(scene: Scene, kind: str, needs: Needs) -> Plan:
 
 
 def _check_series(scene: Scene, couplings: int, frames: int) -> None:
-    """Refuse records that would fill disk and memory: single precision, six numbers a particle, five a gas cell."""
-    size = 24 * scene.number + (20 * math.prod(scene.cells) if scene.drag else 0)
-    if frames * size + couplings * COUPLING_BYTES > MOST_SERIES_BYTES:
+    """Refuse records that would fill disk and memory: single precision, nine numbers a particle, five a gas cell."""
+    size = 38 * scene.number + (20 * math.prod(scene.cells) if scene.drag else 0)
+    pairs, walls = len(tuple(species_of(scene).pairs())), len(scene.walls) if scene.gas is None else 0
+    each = COUPLING_BYTES + PAIR_BYTES * pairs + WALL_BYTES * walls
+    if frames * size + couplings * each > MOST_SERIES_BYTES:
         raise CaseFileError(
             f"{scene.name}: {frames} frames of {size / 1e6:.3g} MB and {couplings} couplings of "
-            f"{COUPLING_BYTES / 1e3:.3g} kB are to be recorded: expected at most {MOST_SERIES_BYTES / 1e9:.3g} GB in "
+            f"{each / 1e3:.3g} kB are to be recorded: expected at most {MOST_SERIES_BYTES / 1e9:.3g} GB in "
             "all; take a longer run.frames_every, a longer run.coupling or a shorter run.until_time"
         )

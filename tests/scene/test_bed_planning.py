@@ -18,7 +18,7 @@ from kncal.scene.case_file import load_case
 from kncal.scene.contact import PairChoice
 from kncal.scene.model import KINDS
 from kncal.scene.needs import BED_PHYSICS, decide
-from kncal.scene.plan import COUPLING_BYTES, pair_of, plan
+from kncal.scene.plan import COUPLING_BYTES, PAIR_BYTES, pair_of, plan
 from kncal.scene.scene import Scene
 
 MINI = load_case("bubbling_bed_mini")
@@ -178,7 +178,7 @@ def test_what_a_coupling_records_is_as_large_as_planned():
     run = series(facts(histogram_edges=tuple(histogram_edges(1e-3)), impact_edges=tuple(speed_edges())), 10)
     arrays = [getattr(run, f.name) for f in fields(run) if f.name not in ("facts", "coupling")]
     per_coupling = sum(a.nbytes / 10 for a in arrays if len(a) == 10) + run.coupling.nbytes / 10
-    assert per_coupling == pytest.approx(COUPLING_BYTES, rel=0.1)
+    assert per_coupling == pytest.approx(COUPLING_BYTES + 2 * PAIR_BYTES, rel=0.1)
 
 
 def used(bed: Scene) -> set[str]:
