@@ -338,6 +338,7 @@ def _write_scripts(plan: Plan, folder: Path) -> None:
         "scene": scene.name,
         "kind": plan.kind,
         "particles": _moves(scene),
+        "alone": _moves(scene) and scene.run.coupling is None,
         "gas": setup is not None,
         "jet": setup is not None and setup.jet is not None,
         "ramp": bool(scene.gas and scene.gas.ramp),

@@ -24,8 +24,8 @@ from kncal.scene.species import SpeciesPair, species_of
 
 #: Records that take more than this are refused before the run [bytes]: a report reads all of them.
 MOST_SERIES_BYTES = 8 * 1024**3
-#: What is recorded of a coupling [bytes]: a histogram of overlaps; of each pair of species one of impact speeds; of each
-#: wall forces by height.
+#: What is recorded of a coupling [bytes], most of it a histogram of overlaps; of each pair of species one of impact
+#: speeds; of each wall forces by height.
 COUPLING_BYTES, PAIR_BYTES, WALL_BYTES = 1550, 590, 480
 #: More steps than this are refused before the run rather than after a day.
 MOST_STEPS = 500_000_000
