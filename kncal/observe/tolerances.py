@@ -17,6 +17,10 @@ WORDS: Mapping[str, tuple[str, ...]] = {
     "pressure": ("pressure_drop",),
     "height": ("bed_height",),
     "bubbles": ("bubble_number", "bubble_share", "bubble_diameter", "bubble_velocity"),
+    "angle": ("angle_of_repose", "dynamic_angle"),
+    "flow": ("mass_flow",),
+    "packing": ("packing_fraction",),
+    "mixing": ("mixing_index",),
 }
 
 
