@@ -15,7 +15,7 @@ from kncal.core.shipped import folder
 from kncal.observe.run_data import RunData
 
 _DEM, _GAS, _SLIDING = "MFIX's DEM01 to DEM06", "Particles and gas", "sliding, closed form"
-_GRAINS = "Many particles without gas"
+_GRAINS, _FARR = "Many particles without gas", "Farr & Groot (2009)"
 
 
 def _stacked(run: RunData) -> float:
@@ -60,6 +60,8 @@ GAS = [
 GRAINS = [
     expected(_GRAINS, "mass flow of a conical hopper", "hopper", "mass_flow", "Beverloo et al. (1961)", long=True),
     expected(_GRAINS, "mass flow through a slot", "hopper_flat", "mass_flow", "Myers & Sellers", long=True),
+    expected(_GRAINS, "frictionless packing of two sizes", "binary_packing", "packing_fraction", _FARR, long=True),
+    expected(_GRAINS, "its contacts per sphere", "binary_packing", "coordination", "isostatic", long=True),
 ]
 
 ENTRIES: tuple[Entry, ...] = (*CHUNG_OOI, *MFIX, *GAS, *GRAINS)
