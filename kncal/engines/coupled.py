@@ -107,10 +107,12 @@ class Still:
 
     cpu_seconds = 0.0
 
-    def __init__(self, positions: Array, diameter: float) -> None:
+    def __init__(self, start: Start, diameter: float) -> None:
         self.histogram_edges, self.impact_edges = histogram_edges(diameter), np.zeros(0)
         self.walls: tuple[str, ...] = ()
-        self._state = ParticleState.at_rest(positions)
+        self._state = ParticleState(
+            start.x, np.zeros_like(start.x), np.zeros_like(start.x), start.kind.astype(np.int64)
+        )
 
     def state(self) -> ParticleState:
         """Return the particles."""
@@ -287,7 +289,7 @@ class Coupled(Engine):
     ) -> ParticleSolver:
         """Start the particles at ``start``, or at the ``state`` after coupling ``first``."""
         if not _moves(plan.scene):
-            return Still(start.x, plan.scene.diameter)
+            return Still(start, plan.scene.d_min)
         at = None if state is None else state / PARTICLES
         particles = LiggghtsDem(
             plan,

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
+import signal
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,6 +20,7 @@ from kncal.engines.liggghts.library_child import WATCH_EVERY
 from kncal.record.steps import DemStep, ParticleState
 from kncal.scene.model import Plan
 from kncal.scene.placement import Start
+from kncal.scene.plan import plan
 
 pytestmark = pytest.mark.solver
 R = 0.0025
@@ -271,3 +275,59 @@ def test_two_ranks_give_the_same_particles_and_all_of_them(tmp_path: Path) -> No
         np.testing.assert_allclose(b.step.wall_force, a.step.wall_force, rtol=0.0, atol=1e-6 * MASS * G)
     assert all((look.state.kind >= 0).sum() + look.step.out_number[0] == 60 for look in two)
     assert two[-1].step.out_number[0] > 0
+
+
+def test_a_periodic_slope_brings_particles_back_and_carries_them(tmp_path: Path) -> None:
+    """Gravity along (1, 0, -2): a bead on a plane that slides without friction; periods in x and y."""
+    text = placed((0.0, 0.0, R - 2e-7), (0.0, 0.025, R - 2e-7)) + "velocity = [0.0, -0.5, 0.0]\n"
+    text += '[walls.base]\nshape = "plane"\naxis = "z"\nposition = 0.0\nmaterial = "glass"\n'
+    model = plan_of(text, until=0.3)
+    scene = replace(
+        model.scene,
+        periodic=("x", "y"),
+        gravity=(3.0, 0.0, -6.0),
+        contact=replace(model.scene.contact, friction=0.0),
+    )
+    model = plan(scene)["linear"]
+    x = np.array(scene.particles["beads"].centres)
+    with LiggghtsDem(model, tmp_path, Start.at(x, np.full((2, 3), (0.0, -0.5, 0.0)))) as dem:
+        looks = intervals(dem, model, 0, model.couplings)
+    low, high = scene.extent
+    for number, look in enumerate(looks, start=1):
+        t = number * model.coupling
+        flown = x[:, :2] + np.array([0.5 * 3.0 * t * t, -0.5 * t])
+        expected = low[:2] + (flown - low[:2]) % (high - low)[:2]
+        apart = (look.state.x[:, :2] - expected + 0.5 * (high - low)[:2]) % (high - low)[:2] - 0.5 * (high - low)[:2]
+        # Velocity Verlet is exact for a constant force, but for half a kick at the start
+        assert np.abs(apart).max() < 3.0 * t * model.dt + 1e-12
+        assert (look.state.x[:, :2] >= low[:2]).all() and (look.state.x[:, :2] <= high[:2]).all()
+    base = np.mean([look.step.wall_force[0].sum(axis=0) for look in looks[-20:]], axis=0)
+    assert base == pytest.approx([0.0, 0.0, -2 * MASS * 6.0], abs=0.02 * MASS * 6.0)
+    # the means over the intervals come from the momentum balance, along gravity
+    along = np.mean([look.step.other_walls_force for look in looks[-20:]])
+    assert along == pytest.approx(-base @ scene.up, rel=0.02)
+
+
+def test_a_rank_that_is_killed_ends_the_run_and_leaves_nothing(tmp_path: Path) -> None:
+    model = plan_of(placed(*GRID) + HOPPER, until=0.1)
+    dem = LiggghtsDem(model, tmp_path, Start.at(GRID), ranks=2, oversubscribe=True)
+    ranks = [pid for pid in _below(dem.pid) if "library_child" in (Path("/proc") / pid / "cmdline").read_text()]
+    assert len(ranks) == 2
+    os.kill(int(ranks[-1]), signal.SIGKILL)
+    with pytest.raises(RunError, match="LIGGGHTS"):
+        intervals(dem, model, 0, model.couplings)
+    dem.close()
+    assert not [pid for pid in ranks if (Path("/proc") / pid / "cwd").exists() and _works(pid)]
+
+
+def _below(pid: int) -> list[str]:
+    """All processes that a process has started, and those that they have."""
+    found = [p for path in Path(f"/proc/{pid}/task").glob("*/children") for p in path.read_text().split()]
+    return found + [below for p in found for below in _below(int(p))]
+
+
+def _works(pid: str) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
+    except OSError:
+        return False

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -222,6 +223,7 @@ class RankLibrary(Library):
         found = np.empty(0)
         if self.rank == 0:
             found = np.loadtxt(self._TABLE, skiprows=9, ndmin=2)
+            Path(self._TABLE).unlink()
         return self.whole(found.ravel()).reshape(rows, columns)
 
 
