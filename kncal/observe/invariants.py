@@ -67,6 +67,14 @@ def invariants(run: RunData, reference: RunData) -> tuple[Invariant, ...]:
     closures = [None if b is None else abs(b) for b in balances]
     text = "weight balance: |Δp A + floor + walls − weight − change of momentum|, of the weight, time average"
     checked.append(_invariant("weight_closure", text, closures, BALANCE_LIMIT))
+    grains = [each.grains for each in runs]
+    supports = [each.estimate("support").value for each in runs]
+    at_rest = [
+        None if g is None or s is None or not g.resting else abs(s - 1.0) for g, s in zip(grains, supports, strict=True)
+    ]
+    checked.append(
+        _invariant("support", "at rest, |force on all walls − weight|, of the weight", at_rest, BALANCE_LIMIT)
+    )
     return tuple(checked)
 
 
