@@ -130,69 +130,101 @@ def pair_contact(
     CaseFileError
         If the hertz model has no reference law of that kind, or its damping or duration needs an impact speed.
     """
-    e_n, v_0, k_n = numbers.e_n, numbers.v_0, numbers.k_n
     calibration = calibration_for(contact, both, numbers, law)
-    m_eff, E_eff, R_eff, G_eff = (float(x) for x in (both.m_eff, both.E_eff, both.R_eff, both.G_eff))
-    ratio = contact.k_t_ratio
     if kind == "linear":
-        stiffness = k_n if k_n is not None else float(calibration.k_n)  # type: ignore[union-attr]
-        t_c = float(contact_time(stiffness, m_eff, e_n, contact.end))
-        delta_max = None if calibration is None else float(calibration.delta_max)
-        name, n, p = "linear", 1.0, 0.0
-        c = float(dimensionless_impact("linear", e_n, contact.end).C) * math.sqrt(stiffness * m_eff)
-        k_t = stiffness * float(both.k_t_ratio if ratio is None else ratio)
+        made = _linear(contact, both, numbers, calibration)
     else:
-        reference = law or LAWS.find(contact.law)
-        if reference.stiffness_exponent == 1.0:
-            raise CaseFileError(
-                f"{scene}: contact.law = {reference.name!r}: expected a Hertz-type reference law for the "
-                "hertz run (tsuji, hertz, kuwabara_kono, hunt_crossley)"
-            )
-        stiffness, name, n = float(both.k_h), reference.name, 1.5
-        p = reference.damping_exponent or 0.0
-        speed = v_0 if v_0 is not None else 1.0
-        length = (m_eff * speed**2 / stiffness) ** 0.4
-        C = float(dimensionless_impact(reference, 1.0 if name == "hertz" else e_n, contact.end).C)
-        if v_0 is None and reference.e_depends_on_speed:
-            raise CaseFileError(f"{scene}: law {name!r} needs contact.v_0 [m/s], since its e_n depends on the speed")
-        c = C * m_eff * speed / length ** (p + 1.0)
-        if calibration is None:
-            t_c, delta_max = resting_time(both, rest, scene, names), None
-        else:
-            t_c, delta_max = float(calibration.reference.t_c), float(calibration.reference.delta_max)
-            if rest.overlap > delta_max:
-                # pressed together harder than an impact at v_0 would: stiffer, so shorter
-                t_c = min(t_c, resting_time(both, rest, scene, names))
-        k_t = 8.0 * G_eff * math.sqrt(R_eff)
+        made = _hertz(both, numbers, calibration, law or LAWS.find(contact.law), contact.end, rest, scene, names)
     warnings = {} if calibration is None else {w.code: str(w) for w in calibration.warnings}
-    made = PairContact(
-        law=name,
-        k=stiffness,
-        n=n,
-        c=c,
-        p=p,
+    found = PairContact(
+        **made._asdict(),
         end=contact.end,
-        e_n=e_n if name != "hertz" else 1.0,
-        v_0=v_0,
-        t_c=t_c,
-        delta_max=delta_max,
-        m_eff=m_eff,
-        R_eff=R_eff,
-        E_eff=E_eff,
-        G_eff=G_eff,
+        e_n=numbers.e_n if made.law != "hertz" else 1.0,
+        v_0=numbers.v_0,
+        m_eff=float(both.m_eff),
+        R_eff=float(both.R_eff),
+        E_eff=float(both.E_eff),
+        G_eff=float(both.G_eff),
         friction=numbers.friction,
         rolling_friction=numbers.rolling_friction,
-        k_t=k_t,
-        c_t=TANGENTIAL_DAMPING[contact.tangential_damping](c, n, stiffness, k_t),
+        c_t=TANGENTIAL_DAMPING[contact.tangential_damping](made.c, made.n, made.k, made.k_t),
         rolling_model=contact.rolling_model,
         rolling_damping=contact.rolling_damping,
         cohesion=numbers.cohesion_energy_density,
         warnings=warnings,
     )
-    if made.cohesion == 0.0:
-        return made
+    if found.cohesion == 0.0:
+        return found
     depth = None if calibration is None else float(calibration.reference.delta_max)
-    return _cohesive(made, depth, keeps_force=contact.cohesion_keeps == "force")
+    return _cohesive(found, depth, keeps_force=contact.cohesion_keeps == "force")
+
+
+class _Elastic(NamedTuple):
+    """The normal law of a contact and its tangential spring, as `PairContact` names them."""
+
+    law: str
+    k: float
+    n: float
+    c: float
+    p: float
+    t_c: float
+    delta_max: float | None
+    k_t: float
+
+
+def _linear(contact: ContactChoice, both: Pair, numbers: PairNumbers, calibration: Calibration | None) -> _Elastic:
+    m_eff, ratio = float(both.m_eff), contact.k_t_ratio
+    k = numbers.k_n if numbers.k_n is not None else float(calibration.k_n)  # type: ignore[union-attr]
+    return _Elastic(
+        law="linear",
+        k=k,
+        n=1.0,
+        c=float(dimensionless_impact("linear", numbers.e_n, contact.end).C) * math.sqrt(k * m_eff),
+        p=0.0,
+        t_c=float(contact_time(k, m_eff, numbers.e_n, contact.end)),
+        delta_max=None if calibration is None else float(calibration.delta_max),
+        k_t=k * float(both.k_t_ratio if ratio is None else ratio),
+    )
+
+
+def _hertz(
+    both: Pair,
+    numbers: PairNumbers,
+    calibration: Calibration | None,
+    law: ContactLaw,
+    end: str,
+    rest: Rest,
+    scene: str,
+    names: str,
+) -> _Elastic:
+    if law.stiffness_exponent == 1.0:
+        raise CaseFileError(
+            f"{scene}: contact.law = {law.name!r}: expected a Hertz-type reference law for the "
+            "hertz run (tsuji, hertz, kuwabara_kono, hunt_crossley)"
+        )
+    if numbers.v_0 is None and law.e_depends_on_speed:
+        raise CaseFileError(f"{scene}: law {law.name!r} needs contact.v_0 [m/s], since its e_n depends on the speed")
+    k, m_eff, p = float(both.k_h), float(both.m_eff), law.damping_exponent or 0.0
+    speed = numbers.v_0 if numbers.v_0 is not None else 1.0
+    length = (m_eff * speed**2 / k) ** 0.4
+    C = float(dimensionless_impact(law, 1.0 if law.name == "hertz" else numbers.e_n, end).C)
+    if calibration is None:
+        t_c, delta_max = resting_time(both, rest, scene, names), None
+    else:
+        t_c, delta_max = float(calibration.reference.t_c), float(calibration.reference.delta_max)
+        if rest.overlap > delta_max:
+            # pressed together harder than an impact at v_0 would: stiffer, so shorter
+            t_c = min(t_c, resting_time(both, rest, scene, names))
+    return _Elastic(
+        law=law.name,
+        k=k,
+        n=1.5,
+        c=C * m_eff * speed / length ** (p + 1.0),
+        p=p,
+        t_c=t_c,
+        delta_max=delta_max,
+        k_t=8.0 * float(both.G_eff) * math.sqrt(float(both.R_eff)),
+    )
 
 
 def _cohesive(contact: PairContact, depth: float | None, *, keeps_force: bool) -> PairContact:

@@ -156,21 +156,7 @@ def contact_context(
         filler = max(column.values())
         rows = [[column.get((min(i, j), max(i, j)), filler) for j in every] for i in every]
         properties.append(_property(name, "peratomtypepair", rows, style))
-    force_end = end == "force"
-    hooke_switch = ""
-    if style == "hooke" and tangential:
-        hooke_switch = _hooke_switch(where, contacts, ROUNDING if absolute else _FEW_DIGITS)
-    switches = {
-        "limitForce on": force_end,
-        "absolute_damping on": style == "hooke/stiffness" and absolute,
-        hooke_switch: bool(hooke_switch),
-        "tangential_damping off": tangential and not law.damped,
-    }
-    memory = "history" if all(c.spring for c in contacts.values()) else "no_history"
-    selectors = [style, f"tangential {memory if tangential else 'off'}"]
-    selectors += ["cohesion sjkr"] if law.cohesion else []
-    selectors += [f"rolling_friction {law.rolling}"] if law.rolling else []
-    return {
+    return _words(where, contacts, law, force_end=end == "force") | {
         "types": [
             {"name": t.name, "role": "walls" if t.is_wall else "particles", "bodies": list(t.bodies)} for t in types
         ],
@@ -179,6 +165,25 @@ def contact_context(
         "hard": any(value > HARD_LIMIT for value in elastic.get("youngsModulus", [])),
         "properties": properties,
         "tangential": tangential,
+    }
+
+
+def _words(where: str, contacts: Contacts, law: _Law, *, force_end: bool) -> dict[str, object]:
+    """Return the words that choose the model, its parts first and then its switches, as LIGGGHTS wants them."""
+    hooke_switch = ""
+    if law.style == "hooke" and law.tangential:
+        hooke_switch = _hooke_switch(where, contacts, ROUNDING if law.absolute else _FEW_DIGITS)
+    switches = {
+        "limitForce on": force_end,
+        "absolute_damping on": law.style == "hooke/stiffness" and law.absolute,
+        hooke_switch: bool(hooke_switch),
+        "tangential_damping off": law.tangential and not law.damped,
+    }
+    memory = "history" if all(c.spring for c in contacts.values()) else "no_history"
+    selectors = [law.style, f"tangential {memory if law.tangential else 'off'}"]
+    selectors += ["cohesion sjkr"] if law.cohesion else []
+    selectors += [f"rolling_friction {law.rolling}"] if law.rolling else []
+    return {
         "force_end": force_end,
         "selectors": " ".join(selectors),
         "switches": " ".join(word for word, wanted in switches.items() if wanted),
