@@ -77,8 +77,9 @@ def solids_fields(series: BedSeries, begin: float = 0.0) -> SolidsFields:
     count, momentum = np.zeros(cells), np.zeros((3, cells))
     squares, weights, theta_frames = np.zeros(cells), np.zeros(cells), np.zeros(len(frames))
     for row, frame in enumerate(frames):
-        index = cell_index(facts, series.x[frame])
-        v = series.v[frame].astype(np.float64)
+        there = series.kind[frame] >= 0
+        index = cell_index(facts, series.x[frame][there])
+        v = series.v[frame][there].astype(np.float64)
         n = np.bincount(index, minlength=cells)
         total = np.stack([np.bincount(index, weights=v[:, i], minlength=cells) for i in range(3)])
         count += n

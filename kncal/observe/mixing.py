@@ -72,7 +72,8 @@ def cells_of(x: Array, number: int) -> NDArray[np.int64]:
     InputError
         If there are fewer than two cells' worth.
     """
-    depth = int(np.floor(np.log2(max(len(x), 1) / number) + 0.5))
+    most = max(len(x), 1)
+    depth = int(min(np.floor(np.log2(most / number) + 0.5), np.floor(np.log2(most))))  # none of them empty
     if depth < 1:
         raise InputError(f"{len(x)} particles: expected at least {int(1.5 * number)} for cells of {number}")
     parts = [np.arange(len(x))]

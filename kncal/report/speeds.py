@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 #: Kind of impacts -> who meets.
 WHO = {"particles": "two particles", "walls": "a particle and a wall", "all": "all contacts"}
 #: Most kinds of impacts that a picture shows: the most frequent ones.
-_SHOWN = 3
+_SHOWN = 2
 _REMARK = (
     "Speeds of new contacts, after the start-up, with 95 % intervals. Energy-weighted: Σv³/Σv², the speed at which the"
     " impacts carry their energy. 99 %: the percentile; the largest overlaps come from these impacts. v_0: the speed"

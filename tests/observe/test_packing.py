@@ -109,6 +109,8 @@ def test_cells_of_a_mixture_hold_equal_numbers():
     cell = cells_of(x, 25)
     number = np.bincount(cell)
     assert len(number) == 32 and number.max() - number.min() <= 1
+    for n in range(2, 40):
+        assert np.bincount(cells_of(x[:n], 1)).min() >= 1
     with pytest.raises(InputError, match="particles"):
         cells_of(x[:20], 25)
 
