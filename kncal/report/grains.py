@@ -82,7 +82,7 @@ def _picture(seen: Mapping[str, GrainObservations], album: Album) -> tuple[Figur
     """Draw the last frames with the walls; nothing where there is no graphics to draw by."""
     first = next(iter(seen.values()))
     groups = list(dict.fromkeys(first.series.facts.groups))
-    several = len(groups) > 1
+    several = len(set(groups) - set(first.scene.held)) > 1
     sizes = len(set(first.series.facts.radii)) > 1
     what = "group" if several else "diameter [mm]" if sizes else "speed [m/s]"
     along = np.eye(3)["xyz".index(first.scene.observe.axis)]

@@ -300,7 +300,8 @@ def _moving(scene: Scene) -> tuple[Need, Need]:
     elif scene.frozen:
         moves, why = False, "the particles are frozen where they are"
     else:
-        moves, why = True, f"{scene.number} particles are free to move"
+        number = sum(c.number for c in scene.classes if c.group not in scene.held)
+        moves, why = True, f"{number} particles are free to move"
     return (
         Need("motion", moves, why),
         Need(
@@ -393,7 +394,7 @@ def _of_walls(scene: Scene) -> tuple[Need, ...]:
     moving = [name for name, wall in scene.walls.items() if wall.motion or any(wall.surface_velocity)]
     removed = [name for name, wall in scene.walls.items() if wall.remove_at is not None]
     rows: tuple[tuple[str, Sequence[str], str, str], ...] = (
-        ("walls", tuple(scene.walls), "can be touched", "nothing bounds the particles"),
+        ("walls", tuple(scene.walls), "can be touched", "there are no walls"),
         ("wall_motion", moving, "in motion", "no wall moves"),
         ("wall_removal", removed, "taken away during the run", "no wall is taken away"),
         ("insertion", streams, "flowing in during the run", "nothing flows in"),

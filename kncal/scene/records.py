@@ -25,6 +25,6 @@ def records_of(scene: Scene) -> tuple[str, ...]:
         "frames:surface": grains and scene.observe.surface is not None,
         "series:outlets": bool(scene.outlets),
         "series:grains": grains,
-        "series:walls": grains and bool(scene.walls),
+        "series:walls": grains and bool(scene.walls or scene.held),
     }
     return tuple(name for name, there in has.items() if there)

@@ -316,6 +316,11 @@ class Scene:
         return all(group.frozen for group in self.particles.values())
 
     @property
+    def held(self) -> tuple[str, ...]:
+        """Groups that are frozen beside others that move, as the rough base of a chute."""
+        return () if self.frozen else tuple(name for name, group in self.particles.items() if group.frozen)
+
+    @property
     def settles(self) -> bool:
         """Whether particles settle before the run."""
         return any(group.place == "settled" and group.count != 0 for group in self.particles.values())

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from granular import RAIN, G, placed, plan_of
+from granular import RAIN, G, placed, plan_of, start_at
 
 from kncal.core.errors import RunError
 from kncal.engines.liggghts.library import LiggghtsDem
@@ -331,3 +331,19 @@ def _works(pid: str) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
     except OSError:
         return False
+
+
+@pytest.mark.parametrize("kind", ["linear", "hertz"])
+def test_what_holds_frozen_particles_is_recorded_like_the_force_on_a_wall(kind: str, tmp_path: Path) -> None:
+    """At first their own weight, then, when a bead has come to rest on them, both; gravity is oblique."""
+    oblique = np.array([-0.6, 0.0, -0.8]) * G
+    anvil = placed([0, 0, 0]).replace("beads", "anvil") + "frozen = true\n"
+    x = np.array([[0.0, 0.0, 0.0], [0.0012, 0.0, 0.0016]]) * 2.5001  # above each other along gravity
+    model = plan_of(anvil + placed(x[1]), kind, until=1.0, sample=0.01)
+    scene = replace(model.scene, gravity=tuple(oblique))
+    model = plan(scene)[kind]
+    with LiggghtsDem(model, tmp_path, start_at(model)) as dem:
+        assert dem.walls == ("anvil",)
+        (first,), last = (dem.run(1).wall_force.sum(axis=1), [dem.run(model.steps_per_coupling) for _ in range(60)])
+    assert first == pytest.approx(MASS * oblique, abs=1e-12)
+    assert last[-1].wall_force[0].sum(axis=0) == pytest.approx(2.0 * MASS * oblique, rel=1e-4, abs=1e-9)

@@ -92,7 +92,7 @@ class LiggghtsDem:
         scene = model.scene
         self.histogram_edges = histogram_edges(scene.d_min)
         self.impact_edges = speed_edges()
-        self.walls = () if scene.run.coupling is not None else tuple(scene.walls)
+        self.walls = () if scene.run.coupling is not None else (*scene.walls, *_held(scene))
         self._plan, self._folder = model, folder
         self._plane = middle(scene) if scene.layer else None
         self._cpu = 0.0
@@ -344,6 +344,7 @@ def _arguments(model: Plan, deck: Deck, sizes: Sizes) -> dict[str, object]:
         "pairs": list(species.pairs()),
         "kinds": len(species.members),
         "floor": deck.has_floor,
+        "held": [i for i, c in enumerate(scene.classes) if c.group in scene.held],
         "outlets": [
             {
                 "fix": outlet.fix,
@@ -356,6 +357,11 @@ def _arguments(model: Plan, deck: Deck, sizes: Sizes) -> dict[str, object]:
         ],
         "flows": bool(deck.outlets or deck.streams),
     }
+
+
+def _held(scene: Scene) -> tuple[str, ...]:
+    """Return the name under which the force on frozen particles is recorded: LIGGGHTS knows that on all together."""
+    return ("+".join(scene.held),) if scene.held else ()
 
 
 def middle(scene: Scene) -> float:

@@ -302,6 +302,11 @@ class Child:
             for number, mesh in enumerate(self.given["meshes"]):
                 own = near[near[:, 6] == number]
                 _add_by_height(forces[mesh["wall"]], edges, own[:, 3:6] @ self._up, own[:, 9:12])
+        if self.given["held"]:
+            # With their own weight; the last of the "walls".
+            total = np.array([[-self.lib.number("freeze", axis) for axis in range(3)]])
+            held = np.isin(self.lib.whole(self.lib.kinds), self.given["held"])
+            _add_by_height(forces[-1], edges, heights[held].mean(keepdims=True), total)
 
     def _forces(self) -> dict[str, Array]:
         """Return forces and torques by id."""
