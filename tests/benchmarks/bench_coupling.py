@@ -45,7 +45,7 @@ from kncal.engines.base import GasSolver, Progress, gas_setup
 from kncal.engines.coupled import GAS, Coupled
 from kncal.engines.dpmfoam.live import LiveGas
 from kncal.scene.model import Plan
-from kncal.scene.placement import lattice
+from kncal.scene.placement import Start, lattice
 from kncal.scene.plan import plan
 
 ROUNDS = 3
@@ -230,7 +230,7 @@ def grown(nx: int, ny: int) -> None:
     model = replace(plan(scene, ("linear",))["linear"], couplings=12)
     watch = Watch()
     with tempfile.TemporaryDirectory() as scratch:
-        result = Coupled("live").run(model, Path(scratch) / "run", start=lattice(scene), progress=watch)
+        result = Coupled("live").run(model, Path(scratch) / "run", start=Start.at(lattice(scene)), progress=watch)
     if result.status != "completed":
         raise SystemExit(result.message)
     first, last = 2, model.couplings  # the first couplings start the gas

@@ -212,11 +212,11 @@ def test_a_killed_gas_solver_is_a_failed_run_and_leaves_nothing(tmp_path):
                 os.kill(pid, signal.SIGKILL)
                 killed.append(pid)
 
-    from kncal.scene.placement import lattice
+    from kncal.scene.placement import Start, lattice
 
     before = _children("python")
     started = time.monotonic()
-    result = Coupled("live").run(plan(scene)["linear"], folder, start=lattice(scene), progress=kill)
+    result = Coupled("live").run(plan(scene)["linear"], folder, start=Start.at(lattice(scene)), progress=kill)
     assert killed
     assert result.status == "failed"
     assert "DPMFoam" in result.message
@@ -229,7 +229,7 @@ def test_what_closing_says_does_not_hide_why_a_run_ended(tmp_path):
     """DPMFoam is killed and Ctrl-C comes: closing a dead solver is an error of its own, but the run was interrupted."""
     if find() is None:
         pytest.skip("the adapter of the live transport is not built: kncal adapter build")
-    from kncal.scene.placement import lattice
+    from kncal.scene.placement import Start, lattice
 
     scene, folder = mini(1.0), tmp_path / "linear"
     folder.mkdir()
@@ -240,7 +240,9 @@ def test_what_closing_says_does_not_hide_why_a_run_ended(tmp_path):
             os.kill(pid, signal.SIGKILL)
         raise KeyboardInterrupt
 
-    result = Coupled("live").run(plan(scene)["linear"], folder, start=lattice(scene), progress=kill_and_interrupt)
+    result = Coupled("live").run(
+        plan(scene)["linear"], folder, start=Start.at(lattice(scene)), progress=kill_and_interrupt
+    )
     assert (result.status, result.failure) == ("interrupted", "")
     assert _children("DPMFoam") == []
     assert _children("python") == before
