@@ -293,3 +293,14 @@ def test_a_deck_by_hand_moves_as_kncal_does_with_the_library(tmp_path: Path) -> 
                 there = frames(tmp_path / "hand")[coupling * model.steps_per_coupling]
                 assert dem.state().x == pytest.approx(there[:, 3:6], abs=1e-12)
                 assert dem.state().spin == pytest.approx(there[:, 9:12], abs=1e-6)
+
+
+def test_a_contact_that_opened_is_forgotten_before_its_gap_outgrows_the_distance() -> None:
+    """At four times the speed of the calibration; with a shorter step a smaller distance is enough, and costs less."""
+    found = []
+    for steps in (20, 200):
+        model = plan_of(placed((0.0, 0.0, 0.0)), steps_per_contact=steps)
+        near = bed_deck(model).near
+        assert (near - 1.0) * 2.0 * R > 3.99 * 0.5 * model.dt
+        found.append(near)
+    assert found[1] < found[0]

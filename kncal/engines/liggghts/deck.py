@@ -44,6 +44,9 @@ DECK, SCRIPT, DATA, RESTART = "in.liggghts", "Allrun", "particles.data", "partic
 #: Distance in diameters within which an opened contact is forgotten. The gap grows by v dt in a step, and with N steps
 #: per contact and overlap x d, v dt is about pi x d/N: 0.016 d for x = 0.1, N = 20.
 NEAR = 1.05
+#: Of many particles without gas it is smaller where they are slow for their step, since each pair within it costs: what
+#: a gap grows in a step at so many times the speed of the calibration, at least so much.
+FASTER, LEAST_NEAR = 4.0, 1.005
 #: Bins of space per particle, for neighbour lists and for sorting: LIGGGHTS takes bins of half the cutoff, and visits
 #: all of them each time. In a large column that costs more than the particles do, and ends at its limit of their
 #: number. A settled bed fills some four bins of that size with each particle.
@@ -99,6 +102,7 @@ def scene_deck(model: Plan, linear_style: str) -> Deck:
             names=tuple(p.name for p in particles),
         ),
         count=len(particles),
+        near=NEAR,
         skin=2.0 * min(p.radius for p in particles),
         schedule=schedule(model),
     )
@@ -162,6 +166,7 @@ def bed_deck(
         count=scene.number,
         skin=SKIN * scene.d_min,
         d_min=scene.d_min,
+        near=NEAR if scene.run.coupling is not None else _near(model),
         bin_size=_bin_size(box, scene.d_max, SKIN * scene.d_min, scene.number),
     )
 
@@ -178,6 +183,14 @@ def parts_of(size: Array, up: Array, ranks: int) -> tuple[int, int, int]:
     parts = [1, 1, 1]
     parts[one], parts[two] = best
     return parts[0], parts[1], parts[2]
+
+
+def _near(model: Plan) -> float:
+    speeds = [c.v_0 for c in model.contacts.values()]
+    fastest = max((v for v in speeds if v is not None), default=None)
+    if fastest is None or None in speeds:
+        return NEAR
+    return min(NEAR, max(LEAST_NEAR, 1.0 + FASTER * fastest * model.dt / model.scene.d_min))
 
 
 def _sides(box: Bounds) -> tuple[Side, Side, Side]:
@@ -258,7 +271,7 @@ def deck_context(deck: Deck) -> dict[str, object]:
         "skin": deck.skin,
         "few": deck.few,
         "bin": deck.bin_size,
-        "near": NEAR,
+        "near": deck.near,
         "gravity": {"size": g, "direction": [value / g for value in deck.gravity] if g else []},
         "dt": deck.dt,
         "n_steps": deck.steps,

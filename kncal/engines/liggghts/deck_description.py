@@ -58,6 +58,7 @@ class Deck:
     frames_every : steps between frames of a run of many particles by hand
     thermo_every : steps between lines of the log
     start : Particles; None: from the file `RESTART`
+    near : distance in diameters within which a contact that opened is forgotten
     count : number of particles; skin : of neighbour lists [m]; d_min : smallest diameter [m]
     bin_size : edge of the bins of neighbour lists and sorting [m], 0 for LIGGGHTS' own
     schedule : when frames are recorded (see `kncal.engines.liggghts.schedule`); None: kncal reads the particles itself
@@ -87,6 +88,7 @@ class Deck:
     thermo_every: int = 1000
     start: Particles | None
     count: int
+    near: float
     skin: float
     d_min: float = 0.0
     bin_size: float = 0.0
