@@ -43,9 +43,9 @@ def planned(
     return plan(scene, [kind])[kind]
 
 
-def simulate(model: Plan, folder: Path) -> Trajectory:
+def simulate(model: Plan, folder: Path, style: str = "hooke/stiffness") -> Trajectory:
     folder.mkdir(exist_ok=True)
-    engine = Liggghts()
+    engine = Liggghts(style)
     engine.render(model, folder)
     result = engine.run(model, folder, timeout=60.0)
     assert result.status == "completed", result.message
@@ -203,6 +203,27 @@ def test_kuwabara_kono_of_a_case_rebounds_as_asked(tmp_path: Path) -> None:
     assert frames.v[-1, 0, 2] / 0.5 == pytest.approx(
         0.8, rel=1.05 * predict_error("kuwabara_kono", 0.8, steps).worst["e_n"]
     )
+
+
+def test_both_linear_models_of_liggghts_damp_a_sticking_contact_alike(tmp_path: Path) -> None:
+    ball = Particle(name="ball", material=GLASS, radius=R, position=(0.0, 0.0, 1.01 * R), velocity=(0.1, 0.0, -0.5))
+    choice: dict[str, Any] = {
+        "friction": 0.9, "method": "strain_energy", "v_0": 0.5, "tangential_damping": "liggghts"
+    }  # fmt: skip
+    model = planned("linear", (ball,), 2e-3, (0.0, 0.0, 0.0), k_t_ratio=1.0, **choice)
+    ends = [simulate(model, tmp_path / style.replace("/", "-"), style) for style in ("hooke/stiffness", "hooke")]
+    for name in ("x", "v", "spin"):
+        one, other = (getattr(end, name)[-1] for end in ends)
+        assert np.abs(one - other).max() < 1e-9 * np.abs(one).max()
+    undamped = simulate(
+        planned("linear", (ball,), 2e-3, (0.0, 0.0, 0.0), k_t_ratio=1.0, **choice | {"tangential_damping": "none"}),
+        tmp_path / "undamped",
+    )
+    assert abs(undamped.spin[-1, 0, 1] - ends[0].spin[-1, 0, 1]) > 1.0
+    # with 2/7 of the spring LIGGGHTS' hooke still has the whole of the normal damping
+    other = planned("linear", (ball,), 2e-3, (0.0, 0.0, 0.0), k_t_ratio=2.0 / 7.0, **choice)
+    with pytest.raises(RenderError, match="c_t"):
+        Liggghts("hooke").render(other, tmp_path)
 
 
 def test_half_of_the_normal_damping_is_for_linear_contacts(tmp_path: Path) -> None:
