@@ -9,8 +9,9 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Sequence
+from io import BufferedReader
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 import numpy as np
 
@@ -177,7 +178,7 @@ def _read_bytes(path: Path) -> bytes:
     return data
 
 
-def _names(path: Path, file: BinaryIO, item: str) -> list[str]:
+def _names(path: Path, file: BufferedReader, item: str) -> list[str]:
     """Return the columns that the first frame names."""
     columns = [file.readline(_LONGEST_LINE) for _ in range(_HEADER_LINES)][-1]
     prefix = f"ITEM: {item}".encode()
@@ -201,13 +202,19 @@ class _Rows(io.RawIOBase):
     error, which `pandas` makes its own; ``fault`` if it is one that nobody else would find.
     """
 
-    def __init__(self, path: Path, file: BinaryIO, item: str, columns: int) -> None:
+    def __init__(self, path: Path, file: BufferedReader, item: str, columns: int) -> None:
         self._path, self._file, self._kind, self._columns = path, file, item.encode(), columns
         self.steps: list[int] = []
         self.counts: list[int] = []
         self.fault: ReadError | None = None
-        self._rest = self._named = b""
-        self._known = b""  # all of the last header behind its step: in most dumps that of every frame
+        # one buffer for all blocks: making memory anew for each takes as long as all else that is done here
+        self._buffer = bytearray(_BLOCK + _HEADER_LINES * _LONGEST_LINE)
+        self._text = np.frombuffer(self._buffer, dtype=np.uint8)
+        self._is_end = np.empty(self._text.size, dtype=np.bool_)
+        self._begin = self._filled = 0  # of what is no whole line or header yet
+        self._named = self._known = (
+            b""  # the latter: all of the last header behind its step: in most dumps that of every frame
+        )
         self._left = self._count = self._total = 0
         self._begun = False
 
@@ -215,24 +222,27 @@ class _Rows(io.RawIOBase):
         return True
 
     def read(self, size: int = -1) -> bytes:
-        parts: list[memoryview] = []
+        view, parts = memoryview(self._buffer), list[memoryview]()
         while not parts:
-            block = self._file.read(_BLOCK)
-            if not block:
-                if self._rest or self._left:
-                    raise ValueError("cut off")
+            rest = self._filled - self._begin
+            view[:rest] = view[self._begin : self._filled]
+            number = self._file.readinto(view[rest : rest + _BLOCK])
+            if not number:
+                if rest or self._left:
+                    raise ValueError("cut off, or a line without end")
                 return b""
-            self._take(self._rest + block, parts)
+            self._filled = rest + number
+            self._begin = self._take(view[: self._filled], parts)
         if not self._begun and len(bytes(parts[0]).partition(b"\n")[0].split()) != self._columns:
             # pandas takes its number of columns from the first row, so it would not notice one that is too long.
             raise ValueError("columns")
         self._begun = True
         return b"".join(parts)
 
-    def _take(self, data: bytes, parts: list[memoryview]) -> None:
-        """Add the rows in ``data`` to ``parts``, and keep what is no whole line or header."""
-        ends = np.flatnonzero(np.frombuffer(data, dtype=np.uint8) == 10)
-        view, at, line = memoryview(data), 0, 0
+    def _take(self, view: memoryview, parts: list[memoryview]) -> int:
+        """Add the rows in ``view`` to ``parts``; return where what is no whole line or header begins."""
+        ends = np.flatnonzero(np.equal(self._text[: len(view)], 10, out=self._is_end[: len(view)]))
+        at = line = 0
         while line < ends.size:
             if self._left:
                 lines = min(self._left, ends.size - line)
@@ -241,20 +251,18 @@ class _Rows(io.RawIOBase):
                 parts.append(view[at:stop])
             elif line + _HEADER_LINES > ends.size:
                 break
-            elif alike := self._like_the_last(data, ends[line:], at, parts):
+            elif alike := self._like_the_last(view, ends[line:], at, parts):
                 lines = alike * (_HEADER_LINES + self._count)
                 stop = int(ends[line + lines - 1]) + 1
             else:
                 lines, stop = _HEADER_LINES, int(ends[line + _HEADER_LINES - 1]) + 1
-                self._header(data, at, stop)
+                self._header(at, stop)
             at, line = stop, line + lines
-        self._rest = data[at:]
-        if len(self._rest) > _HEADER_LINES * _LONGEST_LINE:
-            raise ValueError("a line without end")
+        return at
 
-    def _header(self, data: bytes, start: int, stop: int) -> None:
-        """Take the header in ``data[start:stop]``."""
-        head = _HEADER.match(data, start)
+    def _header(self, start: int, stop: int) -> None:
+        """Take the header that lies there in the buffer."""
+        head = _HEADER.match(self._buffer, start, stop)
         if head is None or head.end() != stop:
             raise ValueError("no header")
         step, counted, rows, listed, named = head.groups()
@@ -262,10 +270,10 @@ class _Rows(io.RawIOBase):
         if counted != self._kind or listed != self._kind or named != self._named:
             raise ValueError("another header")
         self._count = self._left = int(rows)
-        self._known = data[head.end(1) : stop]
+        self._known = bytes(self._buffer[head.end(1) : stop])
         self._add([int(step)])
 
-    def _like_the_last(self, data: bytes, ends: np.ndarray, start: int, parts: list[memoryview]) -> int:
+    def _like_the_last(self, view: memoryview, ends: np.ndarray, start: int, parts: list[memoryview]) -> int:
         """Take the whole frames from ``start`` whose headers are the last one but for the step; return how many.
 
         Near contacts a dump has many frames of few rows: this takes all in a block at once. ``ends`` of lines.
@@ -274,7 +282,7 @@ class _Rows(io.RawIOBase):
         ends = ends[: ends.size // lines * lines].reshape(-1, lines)
         if len(ends) < 2 or not self._count:
             return 0
-        text = np.frombuffer(data, dtype=np.uint8)
+        text = self._text[: len(view)]
         starts = np.concatenate(([start], ends[:-1, -1] + 1))
         alike = ends[:, _HEADER_LINES - 1] - ends[:, 1] + 1 == len(self._known)
         for place, words in ((starts, _FIRST), (ends[:, 1], self._known)):
@@ -284,10 +292,12 @@ class _Rows(io.RawIOBase):
             there = windows[np.minimum(place, len(windows) - 1)]
             alike &= (there == np.frombuffer(words, dtype=np.uint8)).all(axis=1)
         number = int(np.argmin(alike)) if not alike.all() else len(ends)
-        steps = [data[a:b] for a, b in zip((ends[:number, 0] + 1).tolist(), ends[:number, 1].tolist(), strict=True)]
+        steps = [
+            bytes(view[a:b]) for a, b in zip((ends[:number, 0] + 1).tolist(), ends[:number, 1].tolist(), strict=True)
+        ]
         if not all(step.isdigit() and len(step) <= 18 for step in steps):
             return 0
-        view, begins = memoryview(data), ends[:number, _HEADER_LINES - 1] + 1
+        begins = ends[:number, _HEADER_LINES - 1] + 1
         parts += [view[a:b] for a, b in zip(begins.tolist(), (ends[:number, -1] + 1).tolist(), strict=True)]
         self._add(list(map(int, steps)))
         return number
