@@ -41,7 +41,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory):
 SMALL = ("particles.beads.count=1500", "run.until_time=0.25")
 
 
-@pytest.mark.parametrize("case", ["hopper", "hopper_flat"])
+@pytest.mark.parametrize("case", [pytest.param("hopper", marks=pytest.mark.long), "hopper_flat"])
 def test_hoppers_flow_as_published_and_lose_nothing(case: str, runs) -> None:
     """Beverloo's law within the range of its constants; what is inside and what passed is what was there, always."""
     expected = json.loads((folder("cases") / case / "expected.json").read_text("utf-8"))["metrics"]
