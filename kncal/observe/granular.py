@@ -125,6 +125,14 @@ class GrainObservations:
         return found
 
     @cached_property
+    def shown(self) -> Grains:
+        """The frame for pictures: the last one, or one from the middle of the flow where particles run in or out."""
+        if self.kind != "passing":
+            return self.last
+        found = list(self.frames(self.of_window[len(self.of_window) // 2 :][:1]))
+        return found[0] if found else self.last
+
+    @cached_property
     def looked(self) -> NDArray[np.int64]:
         """Numbers of the frames that show the state: the last one at rest, else those of the window."""
         return np.array([len(self.series.t_frame) - 1]) if self.resting else self.of_window

@@ -137,7 +137,7 @@ def bulk(grains: Grains, space: Space, width: float) -> Bulk:
 
     if not len(grains.x):
         raise InputError("no particle is there: expected a packing")
-    grid = grid_for(*_room(space, width), space.periodic, width)
+    grid = grid_for(*_room(grains.x, space, width), space.periodic, width)
     solids = grid.spread(space.wrapped(grains.x), grains.volume[:, None])[..., 0]
     dense = solids >= 0.5 * bulk_value(solids)
     around = [(n, n) if p else (1, 1) for n, p in zip(grid.cells, space.periodic, strict=True)]
@@ -164,10 +164,11 @@ def slice_back(field: NDArray[_T], around: list[tuple[int, int]]) -> NDArray[_T]
     return field[tuple(slice(low, n - high) for (low, high), n in zip(around, field.shape, strict=True))]
 
 
-def _room(space: Space, width: float) -> tuple[list[float], list[float]]:
-    """Return corners with room for the kernel at sides that are not periodic, so that nothing is reflected."""
-    room = np.where(space.periodic, 0.0, 4.0 * width)
-    return np.subtract(space.low, room).tolist(), np.add(space.high, room).tolist()
+def _room(x: Array, space: Space, width: float) -> tuple[list[float], list[float]]:
+    """Return corners round particles with room for the kernel, so that nothing is reflected; periodic sides stay."""
+    low = np.where(space.periodic, space.low, x.min(axis=0) - 4.0 * width)
+    high = np.where(space.periodic, space.high, x.max(axis=0) + 4.0 * width)
+    return low.tolist(), high.tolist()
 
 
 def fraction_profile(grains: Grains, space: Space, axis: int, edges: Array) -> Array:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kncal.core.checks import Array
+from kncal.core.errors import InputError
 from kncal.core.units import si_prefix
 from kncal.observe.grain_metrics import grain_estimate
 from kncal.observe.granular import GrainObservations
@@ -24,8 +25,8 @@ GrainRuns = Mapping[str, GrainObservations]
 
 
 def surfaces(runs: GrainRuns) -> Axes:
-    """Draw the particles of the last frame as they are seen for the angle, with surface, flank and line over them."""
-    fits = {kind: (seen, seen.fits[-1], seen.last) for kind, seen in runs.items()}
+    """Draw the particles of the last frame measured as they are seen for the angle, with surface, flank and line over them."""
+    fits = {kind: (seen, seen.fits[-1], next(seen.frames(seen.looked[-1:]))) for kind, seen in runs.items()}
     places = {kind: seen_along(fit, last, seen.space, seen.centre) for kind, (seen, fit, last) in fits.items()}
     wide = max(float(np.ptp(s)) / max(float(np.ptp(h)), 1e-12) for s, h, _ in places.values())
     height = float(np.clip(8.4 / len(runs) / wide + 1.5, 2.3, 5.4))
@@ -141,6 +142,8 @@ def mixing_curves(runs: GrainRuns) -> Axes:
 
 def wall_loads(runs: GrainRuns) -> Axes:
     """Draw the force through each cross-section against height, Janssen's law as fitted, and the weight above it."""
+    if not all(seen.resting for seen in runs.values()):
+        raise InputError("particles move: expected a filling at rest")
     axes = panels(1, 2, 7.6, 3.8, sharey=True)
     every = list(runs.values())
     factor, unit = si_prefix(np.concatenate([seen.silo.edges for seen in every]), "m")

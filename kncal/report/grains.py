@@ -23,7 +23,7 @@ _PARTS: Mapping[str, tuple[str, Callable[[grain_plots.GrainRuns], Any], str, str
     "Angle of the surface": (
         "surface",
         grain_plots.surfaces,
-        "The last frame as it was measured. Dots: where the coarse-grained solids fraction falls through half of that"
+        "The last frame that was measured. Dots: where the coarse-grained solids fraction falls through half of that"
         " inside. Blue dots were fitted, the others are too near to an end. The number is that of all frames measured,"
         " the line that of this one.",
         "Particles of both runs seen along the slope, with the fitted surface line.",
@@ -79,7 +79,7 @@ _TITLE = "What the particles do"
 
 
 def _picture(seen: Mapping[str, GrainObservations], album: Album) -> tuple[Figure, ...]:
-    """Draw the last frames with the walls; nothing where there is no graphics to draw by."""
+    """Draw a frame of each run with the walls; nothing where there is no graphics to draw by."""
     first = next(iter(seen.values()))
     groups = list(dict.fromkeys(first.series.facts.groups))
     several = len(set(groups) - set(first.scene.held)) > 1
@@ -100,7 +100,7 @@ def _picture(seen: Mapping[str, GrainObservations], album: Album) -> tuple[Figur
         )
     except (InputError, ChildError):
         return ()
-    caption = f"The last frame of both runs with its walls, coloured by {what.partition(' [')[0]}."
+    caption = f"One frame of each run with its walls, coloured by {what.partition(' [')[0]}."
     return (
         Figure(
             name="grains",
@@ -114,7 +114,7 @@ def _picture(seen: Mapping[str, GrainObservations], album: Album) -> tuple[Figur
 
 
 def _panel(kind: str, seen: GrainObservations, several: bool, sizes: bool) -> Panel:
-    last = seen.last
+    last = seen.shown
     speed = np.linalg.norm(last.v, axis=1)
     value = seen.groups[last.kind].astype(np.float64) if several else 2e3 * last.radius if sizes else speed
     title = f"{model_name(kind)}, t = {last.t:.3g} s"

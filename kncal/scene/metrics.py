@@ -202,7 +202,7 @@ METRICS: Registry[Metric] = Registry(
     _bed("segregation", "–", "intensity of segregation at the end", _KINDS, _STEADY, "absolute"),
     _bed("mixing_time", "s", "time until the mixing index has gone 90 % of its way", _KINDS),
     _bed("support", "–", "vertical force on all walls over the weight of the particles", ("series:walls",)),
-    _bed("wall_share", "–", "share of the weight on walls other than floors", ("series:walls",), difference="absolute"),
+    _bed("wall_share", "–", "share of the weight on walls other than floors", ("series:walls",), _REST, "absolute"),
     _bed(
         "janssen_length",
         "m",
