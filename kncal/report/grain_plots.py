@@ -25,7 +25,7 @@ GrainRuns = Mapping[str, GrainObservations]
 
 
 def surfaces(runs: GrainRuns) -> Axes:
-    """Draw the particles of the last frame measured as they are seen for the angle, with surface, flank and line over them."""
+    """Draw the particles of the last frame measured, seen as for the angle, with surface, flank and line over them."""
     fits = {kind: (seen, seen.fits[-1], next(seen.frames(seen.looked[-1:]))) for kind, seen in runs.items()}
     places = {kind: seen_along(fit, last, seen.space, seen.centre) for kind, (seen, fit, last) in fits.items()}
     wide = max(float(np.ptp(s)) / max(float(np.ptp(h)), 1e-12) for s, h, _ in places.values())
