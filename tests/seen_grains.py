@@ -37,7 +37,8 @@ def seen_of(
         facts=facts, t=t, U_0=np.zeros(couplings), contacts=np.ones(couplings),
         floor=np.ones(couplings), p_in=np.full(couplings, np.nan),
         z_mean=np.ones(couplings), kinetic_energy=energy, kinetic_rotation=0.4 * energy, mass=inside,
-        out_mass=(np.zeros(couplings) if out is None else out)[:, None], t_frame=DT * 10 * np.arange(len(frames)),
+        out_mass=np.column_stack([np.zeros(couplings) if out is None else out] * max(len(outlets), 1)),
+        t_frame=DT * 10 * np.arange(len(frames)),
         frame_coupling=10 * np.arange(len(frames)),
         x=[x.astype(np.float32) for x in frames], v=v, spin=[np.zeros((number, 3))] * len(frames),
         kind=[np.where(here, kind, -1) for here in there],
@@ -46,6 +47,7 @@ def seen_of(
     scene = SimpleNamespace(
         observe=SimpleNamespace(**_OBSERVE | observe),
         d_max=D, layer=None, contact=SimpleNamespace(friction=0.5, pairs=()), walls={},
+        outlets={name: SimpleNamespace(delete=name == "out") for name in outlets},
         particles=dict.fromkeys(("red", "blue"), SimpleNamespace(frozen=False, place="given")),
         gravity=tuple(-G * np.array(up)),
     )  # fmt: skip

@@ -172,8 +172,13 @@ class GrainObservations:
 
     @cached_property
     def flow(self) -> Discharge:
-        """Mass through all outlets together."""
-        t, out = self.series.t, self.series.out_mass.sum(axis=1)
+        """Mass through the outlets where particles leave, all together; of planes that only count, the one most pass.
+
+        What passes a plane and leaves behind it counts once.
+        """
+        t, mass = self.series.t, self.series.out_mass
+        leave = np.array([self.scene.outlets[name].delete for name in self.series.facts.outlets], dtype=bool)
+        out = mass[:, leave].sum(axis=1) if leave.any() else mass[:, int(mass[-1].argmax())]
         return discharge(np.concatenate([[0.0], t]), np.concatenate([[0.0], out]))
 
     def fit(self, grains: Grains) -> SurfaceFit:

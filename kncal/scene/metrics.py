@@ -188,7 +188,13 @@ METRICS: Registry[Metric] = Registry(
     _bed("overlap_max", "m", "largest overlap of the run", _OVERLAPS, ("ramp", *_ANY)),
     _bed("overlap_share", "–", "share of contacts with an overlap above 1 % of the diameter", _OVERLAPS),
     # of many particles without gas
-    _bed("mass_flow", "kg/s", "mass flow rate through the outlets, in its steady part", ("series:outlets",), _ANY),
+    _bed(
+        "mass_flow",
+        "kg/s",
+        "mass flow rate through the outlets where particles leave, in its steady part",
+        ("series:outlets",),
+        _ANY,
+    ),
     _bed("residence_time", "s", "mass inside over the mass flow rate", ("series:outlets",), _MOVING),
     _bed("angle_of_repose", "°", "angle of the surface at rest to the horizontal", _SURFACE, _REST),
     _bed("dynamic_angle", "°", "mean angle of the moving surface to the horizontal", _SURFACE, ("steady", "passing")),

@@ -56,6 +56,14 @@ def test_the_flow_through_an_outlet_is_that_of_its_steady_part():
     assert 0.4 < seen.flow.begin <= seen.series.t_frame[seen.of_window[0]]
 
 
+def test_what_passes_a_plane_and_leaves_behind_it_counts_once():
+    out = MASS * np.cumsum(np.full(400, 20.0))
+    x = pile(np.random.default_rng(10), 0.0)
+    for planes in (("out",), ("plane", "out"), ("plane",), ("plane", "other")):
+        seen = seen_of([x] * 41, out=out, outlets=planes)
+        assert grain_estimate(seen, "mass_flow").value == pytest.approx(2000.0 * MASS), planes
+
+
 def test_what_is_inside_stays_as_long_as_it_takes_to_flow_out():
     rng = np.random.default_rng(4)
     out, inside = MASS * np.cumsum(rng.poisson(20.0, 400)), MASS * rng.normal(6000.0, 20.0, 400)
