@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from shutil import copyfile
 
 import pytest
 from models import with_bodies
@@ -20,6 +21,8 @@ from kncal.study.variants import texts
 def changed(scene: Scene, part: Part, folder: Path) -> Scene:
     path = folder / f"{scene.name}.toml"
     path.write_text(dump_case(scene), "utf-8")
+    for name in scene.files:
+        copyfile(scene.path_of(name), folder / name)
     return replace(load_case(path, overrides=texts(part.changes)), title=scene.title)
 
 
