@@ -40,7 +40,7 @@ from kncal.scene.scene import Scene
 from kncal.scene.walls import BoxWall, CylinderWall
 
 #: Most frames that are looked at for what is dear in each, and for the mixing curve.
-MOST_FRAMES, MOST_MIXTURES = 50, 200
+MOST_FRAMES, MOST_MIXTURES = 50, 100
 #: Parts of the frames of a run whose profiles give a width.
 _PARTS = 8
 #: A wall with more than this share of its force in the lowest bins is a floor there.
@@ -235,7 +235,8 @@ class GrainObservations:
     def packings(self) -> tuple[Packed, ...]:
         """The packing in every frame `looked` at."""
         contact = self.scene.contact
-        least = 2 if contact.friction or any(pair.friction for pair in contact.pairs) else 4
+        rubs = contact.friction or any(pair.friction for pair in contact.pairs)
+        least = 2 if rubs else 3 if self.scene.layer else 4
         return tuple(
             packed(frame, self.space, self.width, self.resolution, least) for frame in self.frames(self.looked)
         )
