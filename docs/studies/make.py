@@ -286,8 +286,8 @@ def wall_impact(page: Path) -> None:
     fill(page, "softened", table(["contact", *heads], soft))
 
 
-def bubbling_bed_mini(page: Path) -> None:
-    """Fill the page of the small bubbling bed."""
+def averaged(page: Path) -> None:
+    """Fill a page of many particles, of which averages are compared."""
     trade = read(page.stem)
     metrics = tuple(trade["tolerances"])
     fill(page, "savings", table(SAVINGS, list(savings(trade, metrics))))
@@ -308,7 +308,10 @@ VELOCITY = "particles.sphere.velocity"
 STUDIES: dict[str, Callable[[Path], None]] = {
     "falling_particle": falling_particle,
     "wall_impact": wall_impact,
-    "bubbling_bed_mini": bubbling_bed_mini,
+    "bubbling_bed_mini": averaged,
+    "hopper": averaged,
+    "drum": averaged,
+    "heap": averaged,
 }
 
 
