@@ -66,18 +66,25 @@ def start_positions(scene: Scene, *, tell: Tell | None = None, progress: Progres
     except OSError as error:
         log.warning("settled packings cannot be kept (%s): each run settles its own", error)
         kept = None
-    return packing(plan(to_settle(scene), ("linear",))["linear"], kept, tell=tell, progress=progress)
+    settling = to_settle(scene)
+    found = packing(plan(settling, ("linear",))["linear"], kept, tell=tell, progress=progress)
+    if scene.run.coupling is not None:
+        return found
+    index = {c.name: i for i, c in enumerate(scene.classes)}
+    kinds = np.array([index[c.name] for c in settling.classes])
+    return start_of(scene, replace(found, kind=kinds[found.kind]))
 
 
 def to_settle(scene: Scene) -> Scene:
-    """Return the scene as it settles: nothing flows in or out, no wall moves or goes.
+    """Return the scene as it settles: the settled groups and the frozen ones, no wall that moves or goes.
 
-    With the spring ``settle_k_n`` of its first group that has one, whatever its own contact and step.
+    Others join them when the run begins. With the spring ``settle_k_n`` of the first group that has one, whatever the
+    scene's own contact and step.
     """
     still = {
         name: replace(wall, motion=(), surface_velocity=AT_REST, remove_at=None) for name, wall in scene.walls.items()
     }
-    there = {name: group for name, group in scene.particles.items() if group.place != "stream"}
+    there = {name: group for name, group in scene.particles.items() if group.place == "settled" or group.frozen}
     scene = replace(scene, walls=still, outlets={}, particles=there)
     k_n = next((group.settle_k_n for group in there.values() if group.settle_k_n is not None), None)
     if k_n is None:
@@ -174,8 +181,8 @@ def _settle(model: Plan, start: Start, tell: Tell, progress: Progress | None) ->
                 return Start.at(state.x[: len(start.x)], kind=start.kind)
     raise RunError(
         f"{scene.name}: the particles did not settle in {looks * chunk * model.dt:.3g} s: mean kinetic energy "
-        f"{share:.2g} m g d, expected below {RESTING:g}; take e_n below 1, a smaller time step, or "
-        'place = "lattice"'
+        f"{share:.2g} m g d, expected below {RESTING:g}; take e_n below 1, a rolling friction "
+        '(particles that roll on a plane do not stop), a smaller time step, or place = "lattice"'
     )
 
 

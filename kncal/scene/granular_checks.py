@@ -58,6 +58,9 @@ def _by_place(scene: Scene, path: Path, group: Particles) -> Iterator[Problem]:
             yield (*path, key), f'given together with place = "{group.place}": expected "{place}"'
     if group.place == "stream" and group.rate is None:
         yield (*path, "rate"), "missing: expected the mass per time of the stream [kg/s]"
+    for key in ("velocity", "spin"):
+        if group.place == "settled" and any(getattr(group, key)):
+            yield (*path, key), f"{key} = {list(getattr(group, key))}: expected none: settled particles are at rest"
     if group.place == "settled" and not (scene.g or scene.presses):
         yield (
             ("gravity",),
@@ -96,9 +99,10 @@ def _domain(scene: Scene) -> Iterator[Problem]:
     except (ReadError, CaseFileError, InputError) as error:
         yield ("particles",), str(error)
         return
-    if (number := scene.number) < 1:
-        yield ("particles",), "no particles: expected at least one"
-    elif number > MOST_PARTICLES:
+    for name in scene.particles:
+        if not sum(c.number for c in classes if c.group == name):
+            yield ("particles", name), "not one particle: expected a larger count, mass or fill, or to leave it out"
+    if (number := scene.number) > MOST_PARTICLES:
         yield ("particles",), f"{number} particles: expected at most {MOST_PARTICLES}"
     for axis in map(AXES.index, scene.periodic):
         low, high = scene.extent

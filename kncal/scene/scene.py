@@ -193,11 +193,14 @@ class Scene:
         else:
             found = classes(group.sizes, self.path_of, min([self.contact.e_n, *self._exceptional("e_n")]))
         number = number_of(group, given, found.volume, self.materials[group.material].density)
+        numbers = counts(found.shares, number)
         several = len(found.diameters) > 1
-        return [
+        made = [
             SizeClass(group=name, name=f"{name}.{i}" if several else name, diameter=float(d), number=int(n))
-            for i, (d, n) in enumerate(zip(found.diameters, counts(found.shares, number), strict=True), start=1)
+            for i, (d, n) in enumerate(zip(found.diameters, numbers, strict=True), start=1)
         ]
+        # a size of which there is no particle has no contacts; from a file each has its place
+        return made if group.file is not None or not number else [c for c in made if c.number]
 
     @cached_property
     def from_files(self) -> Mapping[str, FromFile]:

@@ -17,8 +17,10 @@ from kncal.scene.scene import Scene
 from kncal.scene.shapes import distance_to
 
 
-def start_of(scene: Scene) -> Start:
-    """Return the particles as they are placed, before any of them settle; those of streams are not among them.
+def start_of(scene: Scene, rested: Start | None = None) -> Start:
+    """Return the particles as they are placed; those of streams are not among them.
+
+    ``rested``: those that have settled, and the frozen ones among them; None: nothing has settled yet.
 
     Raises
     ------
@@ -30,8 +32,11 @@ def start_of(scene: Scene) -> Start:
     if scene.run.coupling is not None:
         return Start.at(PLACEMENTS.find(scene.group.place).place(scene))
     found: list[Start] = []
-    for name in scene.particles:
-        found.extend(_group(scene, name, _joined(found)))
+    for name, group in scene.particles.items():
+        if rested is not None and (group.place == "settled" or group.frozen):
+            found.append(_of_group(scene, rested, name))
+        else:
+            found.extend(_group(scene, name, _joined([*found, *([rested] if rested else [])])))
     start = _joined(found)
     _check(scene, start)
     return start
@@ -80,6 +85,11 @@ def _check_walls(scene: Scene, start: Start, radii: Array) -> None:
                 f"{scene.name}: {len(deep)} particles start in walls.{name} by more than half their radius, the first "
                 f"of {scene.classes[start.kind[k]].name} at {start.x[k].tolist()}: expected less"
             )
+
+
+def _of_group(scene: Scene, start: Start, name: str) -> Start:
+    rows = np.array([c.group == name for c in scene.classes])[start.kind]
+    return Start(x=start.x[rows], v=start.v[rows], spin=start.spin[rows], kind=start.kind[rows])
 
 
 def _group(scene: Scene, name: str, there: Start) -> Iterator[Start]:

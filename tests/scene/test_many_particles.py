@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from kncal.core.errors import CaseFileError, InputError
+from kncal.engines.settle import to_settle
 from kncal.scene.case_file import FILES, dump_case, identity_text, kept_identity, load_case, parse_case, write_case
 from kncal.scene.limits import check
 from kncal.scene.model import KINDS
@@ -229,3 +230,33 @@ def test_particles_that_start_in_a_wall_are_refused_at_its_name() -> None:
         start_of(scene(bead + box))
     assert len(start_of(scene(bead.replace("0.0004", "0.0006") + box)).x) == 1
     assert len(start_of(scene(bead + box, head='periodic = ["x"]\n' + HEAD)).x) == 1
+
+
+def test_a_size_without_any_particle_makes_no_contact() -> None:
+    made = scene(
+        CONE + BEADS.replace("[2e-3, 0.25], [3e-3, 0.75]", "[2e-3, 0.001], [3e-3, 0.999]").replace("401", "10")
+    )
+    assert [(c.name, c.number) for c in made.classes] == [("beads.2", 10)]
+    assert made.d_min == 3e-3
+    for empty in ("count = 0", "mass = 1e-9"):
+        with pytest.raises(CaseFileError, match=r"particles\.beads"):
+            scene(CONE + BEADS.replace("count = 401", empty))
+
+
+def test_those_that_have_settled_keep_their_kind_and_others_join_them_as_the_case_says() -> None:
+    ball = '[particles.ball]\nmaterial = "steel"\ndiameter = 4e-3\nposition = [0.0, 0.0, 0.19]\n'
+    ball += "velocity = [0.0, 0.0, -2.0]\n"
+    rain = BEADS.replace("particles.beads", "particles.rain").replace('"lattice"', '"stream"\nrate = 0.01')
+    bed = BEADS.replace("particles.beads", "particles.bed").replace('"lattice"', '"settled"')
+    made = scene(CONE + rain + ball + bed)
+    settling = to_settle(made)
+    assert list(settling.particles) == ["bed"]
+    placed = start_of(settling)
+    first = next(i for i, c in enumerate(made.classes) if c.group == "bed")
+    whole = start_of(made, replace(placed, kind=placed.kind + first))
+    names = [made.classes[k].group for k in whole.kind]
+    assert names == ["ball"] + ["bed"] * 401
+    assert whole.v[0].tolist() == [0.0, 0.0, -2.0]
+    assert np.array_equal(whole.x[1:], placed.x)
+    with pytest.raises(CaseFileError, match="velocity"):
+        scene(CONE + bed + "velocity = [0.1, 0.0, 0.0]\n")
