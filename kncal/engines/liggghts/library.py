@@ -44,11 +44,12 @@ SAVED = (RESTART, SAVED_FORCES)
 _START_LIMIT = 120.0  # s: deck, neighbour lists, and a machine that is busy with other things
 _RUN_LIMIT = 10.0  # s, of any run; and
 _STEP_LIMIT = 2e-5  # s per particle and step, a hundred times what one takes
+_RANK_LIMIT = 0.1  # s per step for ranks that wait for each other, also where they have no core of their own
 _SAVE_LIMIT = 300.0  # s, for slow disks
 
 
 class LiggghtsDem:
-    """One bed in one LIGGGHTS (the `kncal.engines.coupling.Dem` protocol).
+    """Many particles in one LIGGGHTS (a `kncal.engines.base.ParticleSolver`).
 
     The child dies with the thread that made this object, also if that is killed. Use it from one thread.
 
@@ -95,7 +96,7 @@ class LiggghtsDem:
         self.walls = () if scene.run.coupling is not None else (*scene.walls, *_held(scene))
         self._plan, self._folder = model, folder
         self._plane = middle(scene) if scene.layer else None
-        self._cpu = 0.0
+        self._cpu, self._waits = 0.0, _RANK_LIMIT if ranks > 1 else 0.0
         self._step = first * model.steps_per_coupling
         folder.mkdir(parents=True, exist_ok=True)
         if restart is not None:
@@ -181,7 +182,8 @@ class LiggghtsDem:
                 shared.force[:, 1] = 0.0
         self._insert()
         request = {"do": "run", "steps": steps, "with_force": force is not None}
-        answer = self._ask(request, _RUN_LIMIT + _STEP_LIMIT * steps * (len(shared.x) + 100), steps)
+        limit = _RUN_LIMIT + _STEP_LIMIT * steps * (len(shared.x) + 100) + self._waits * steps
+        answer = self._ask(request, limit, steps)
         return DemStep(
             floor_force=answer["floor"],
             other_walls_force=answer["other_walls"],
