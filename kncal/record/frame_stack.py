@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import NDArray
 
 Arrays = Mapping[str, NDArray[Any]]
@@ -20,8 +21,10 @@ class Pieces:
         self.read = lru_cache(maxsize=2)(read)
 
 
-class FrameStack:
+class FrameStack(NDArrayOperatorsMixin):
     """One array of all frames, (frames, ...), read piece by piece: indexed as a numpy array, which it gives.
+
+    What is computed with all of it reads all of it.
 
     Parameters
     ----------
@@ -50,6 +53,9 @@ class FrameStack:
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         return self[:] if dtype is None else self[:].astype(dtype)
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **given: Any) -> Any:
+        return getattr(ufunc, method)(*(i[:] if isinstance(i, FrameStack) else i for i in inputs), **given)
 
     def __getitem__(self, index: Any) -> NDArray[Any]:
         which, rest = (index[0], index[1:]) if isinstance(index, tuple) else (index, ())

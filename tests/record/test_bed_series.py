@@ -206,6 +206,8 @@ def test_frames_on_the_disk_are_indexed_as_arrays(tmp_path, index):
     np.testing.assert_array_equal(x[index], whole[index])
     assert x[index].dtype == np.float32
     np.testing.assert_array_equal(list(x), whole)
+    np.testing.assert_array_equal(x > 0.5, whole > 0.5)
+    np.testing.assert_array_equal(2.0 * x, 2.0 * whole)
 
 
 def test_refuses_to_mix_two_runs(tmp_path):

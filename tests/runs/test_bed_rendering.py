@@ -133,7 +133,7 @@ def test_compare_for_paraview_and_for_machines(capsys, tmp_path):
         np.testing.assert_allclose(reader.time_values, series.t_frame, rtol=1e-15)
         for frame, time in enumerate(reader.time_values):
             reader.set_active_time_value(time)
-            particles, gas = reader.read()
+            particles, gas, *_ = reader.read()
             np.testing.assert_array_equal(particles.points, series.x[frame])
             np.testing.assert_array_equal(particles.point_data["velocity"], series.v[frame])
             np.testing.assert_array_equal(particles.point_data["id"], np.arange(1, COUNT + 1))
