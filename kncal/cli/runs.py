@@ -234,11 +234,13 @@ def _print_results(runs: Mapping[str, RunData], metrics: Mapping[str, Mapping[st
     rows.append(["CPU", *(show.quantity(cost.total, "s", 3) for cost in costs)])
     if any(cost.transport for cost in costs):
         rows.append(["CPU particles", *(show.quantity(cost.cpu_seconds, "s", 3) for cost in costs)])
-        rows.append(["CPU gas", *(show.quantity(cost.gas, "s", 3) for cost in costs)])
-        rows.append(["CPU exchange", *(show.quantity(cost.exchange, "s", 3) for cost in costs)])
-        rows.append(["transport", *(cost.transport for cost in costs)])
+        with_gas = any(cost.has_gas for cost in costs)
+        what = "CPU exchange" if with_gas else "CPU recording"
+        rows += [["CPU gas", *(show.quantity(cost.gas, "s", 3) for cost in costs)]] if with_gas else []
+        rows.append([what, *(show.quantity(cost.exchange, "s", 3) for cost in costs)])
+        rows += [["transport", *(cost.transport for cost in costs)]] if with_gas else []
     first = next(iter(runs.values()))
-    show.table(f"{first.model.scene.name} by {first.result.engine}", ["", *runs], rows)
+    show.table(f"{first.model.scene.name} by {first.result.version or first.result.engine}", ["", *runs], rows)
 
 
 def _print_comparison(comparison: Comparison) -> None:

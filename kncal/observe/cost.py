@@ -63,6 +63,11 @@ class Cost:
         return self.cpu_seconds / self.steps
 
     @property
+    def has_gas(self) -> bool:
+        """Whether a gas solver took part."""
+        return self.transport not in ("", "none")
+
+    @property
     def total(self) -> float:
         """CPU time of all processes together [s]."""
         return self.cpu_seconds + self.gas + self.exchange

@@ -97,16 +97,18 @@ def rest_begin(series: BedSeries) -> float | None:
     """Return from when on particles without gas are at rest until the end [s]; None if they are not.
 
     At rest their mean square speed is below `AT_REST` g d, that of a fall through a twenty-thousandth of a diameter;
-    without gravity, below `AT_REST` of its largest.
+    without gravity, below `AT_REST` of its largest. While a wall moves nothing is at rest.
     """
     facts, there = series.facts, series.mass > 0.0
     if facts.gas_density > 0.0 or not len(series.t) or not there[-1]:
         return None
     square = 2.0 * series.kinetic_energy / np.where(there, series.mass, np.inf)
     fast = np.flatnonzero(square > AT_REST * (facts.gravity * facts.diameter or float(square.max())))
-    if not len(fast):
-        return 0.0
-    return float(series.t[fast[-1] + 1]) if fast[-1] + 1 < len(series.t) else None
+    slow = series.t[fast[-1] + 1 :] if len(fast) else series.t
+    slow = slow[slow >= facts.driven_until]
+    if not len(slow):
+        return None
+    return 0.0 if len(slow) == len(series.t) else float(slow[0])
 
 
 def gas_changes(series: BedSeries, begin: float) -> bool:

@@ -199,7 +199,8 @@ def _speed(runs: Sequence[RunData], speed: Speed) -> str:
         text += f" (ratio {speed.cpu_low:.2f} to {speed.cpu_high:.2f} over {linear.runs} and {hertz.runs} runs)"
     if linear.transport and speed.total is not None:
         totals = " and ".join(quantity(cost.total, "s", 3) for cost in (linear, hertz))
-        text += f"; with gas and exchange {totals}, {gain(speed.total)}"
+        what = "gas and exchange" if any(cost.has_gas for cost in (linear, hertz)) else "recording"
+        text += f"; with {what} {totals}, {gain(speed.total)}"
     return f"{text}."
 
 

@@ -40,6 +40,7 @@ class BedFacts:
     gas_density : [kg/m³], 0 without gas
     jet : whether the gas enters through a jet, so that ``p_in`` is the pressure at its slot only
     coupling : interval between couplings [s]
+    driven_until : when the last wall stops moving, or goes [s]; 0: no wall does
     histogram_edges : (bins + 1,) edges of the overlap histogram [m]
     impact_edges : (bins + 1,) edges of the histograms of impact speeds [m/s]; empty: they were not recorded
     """
@@ -66,6 +67,7 @@ class BedFacts:
     gas_density: Number
     jet: Flag
     coupling: Seconds
+    driven_until: Annotated[Number, Field(ge=0.0)] = 0.0
     histogram_edges: Annotated[tuple[Number, ...], Field(min_length=2)]
     impact_edges: tuple[Number, ...] = ()
 
@@ -110,6 +112,16 @@ def room(scene: Scene) -> tuple[Vector, Vector]:
     return (x, y, z), (width, depth, height)
 
 
+def driven_until(scene: Scene, t_end: float) -> float:
+    """Return until when walls move, go away, or are belts [s], at most ``t_end``."""
+    found = [0.0]
+    for wall in scene.walls.values():
+        found += [t_end] if any(wall.surface_velocity) else []
+        found += [min(t_end if motion.stop is None else motion.stop, t_end) for motion in wall.motion]
+        found += [] if wall.remove_at is None else [min(wall.remove_at, t_end)]
+    return max(found)
+
+
 def bed_facts(model: Plan, histogram_edges: Array, impact_edges: Array, walls: Sequence[str] = ()) -> BedFacts:
     """Collect the facts of a model.
 
@@ -142,6 +154,7 @@ def bed_facts(model: Plan, histogram_edges: Array, impact_edges: Array, walls: S
         gas_density=scene.gas.density if scene.gas else 0.0,
         jet=bool(scene.gas and scene.gas.jet),
         coupling=model.coupling,
+        driven_until=driven_until(scene, model.t_end),
         histogram_edges=tuple(float(edge) for edge in histogram_edges),
         impact_edges=tuple(float(edge) for edge in impact_edges),
     )

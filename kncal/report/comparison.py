@@ -239,9 +239,11 @@ def cost_table(comparison: Comparison) -> Table:
         spread = (f"{quantity(c.cpu_low, 's', 3)} to {quantity(c.cpu_high, 's', 3)}, {c.runs} runs" for c in costs)
         rows.append(("CPU time, smallest to largest", *spread, "–"))
     if coupled:
-        line("couplings", lambda c: c.couplings)
-        line("CPU time of the gas", lambda c: c.gas, "s", ratio=timed)
-        line("CPU time of the exchange", lambda c: c.exchange, "s", ratio=timed)
+        with_gas = any(c.has_gas for c in costs)
+        line("couplings" if with_gas else "intervals", lambda c: c.couplings)
+        if with_gas:
+            line("CPU time of the gas", lambda c: c.gas, "s", ratio=timed)
+        line(f"CPU time of {'the exchange' if with_gas else 'recording'}", lambda c: c.exchange, "s", ratio=timed)
         line("CPU time, total", lambda c: c.total, "s", ratio=timed)
         line("CPU time per simulated second", lambda c: c.total / c.simulated, "s", ratio=timed)
     line("wall time", lambda c: c.wall_seconds, "s", ratio=coupled)

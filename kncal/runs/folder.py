@@ -200,6 +200,7 @@ def model_manifest(
         "kncal": __version__,
         "case": model.scene.name,
         "case_sha256": hashlib.sha256(dump_case(model.scene).encode()).hexdigest(),
+        "case_files": {name: sha256(model.scene.path_of(name)) for name in model.scene.files},
         "model": model.kind,
         "engine": profile.engine,
         "solver": {
@@ -307,6 +308,10 @@ def read_model_folder(folder: Path) -> tuple[Scene, str, str]:
         raise ReadError(f"{folder}: expected a model's run folder with {CASE} in the folder above")
     if sha256(case) != data["case_sha256"]:
         raise ReadError(f"{case}: changed since {folder.name} was rendered; run the case again")
+    for name, digest in data["case_files"].items():
+        path = folder.parent / FILES / name
+        if not path.is_file() or sha256(path) != digest:
+            raise ReadError(f"{path}: changed or missing since {folder.name} was rendered; run the case again")
     if data["model"] != folder.resolve().name:
         raise ReadError(f"{folder / MANIFEST}: model = {data['model']!r}, expected that of the folder's name")
     return load_case(case, name=data["case"]), data["model"], data["engine"]

@@ -102,5 +102,6 @@ class ModelManifest(Record):
     t_end: Seconds
     contacts: dict[str, dict[str, Any]]
     files_sha256: Digests
+    case_files: dict[str, Sha256] = Field(default_factory=dict)
     rendered: str
     foreign_templates: dict[str, Sha256] = Field(default_factory=dict)

@@ -24,6 +24,7 @@ def granular(scene: Scene) -> Iterator[Problem]:
     for name, wall in scene.walls.items():
         yield from ((("walls", name, *path), text) for path, text in WALLS[wall.shape].problems(wall))
     yield from _domain(scene)
+    yield from _boxes(scene)
 
 
 def _group(scene: Scene, path: Path, group: Particles) -> Iterator[Problem]:
@@ -53,6 +54,8 @@ def _group(scene: Scene, path: Path, group: Particles) -> Iterator[Problem]:
 
 def _by_place(scene: Scene, path: Path, group: Particles) -> Iterator[Problem]:
     """Yield what belongs to another way of placing."""
+    if group.scale != 1.0 and group.file is None:
+        yield (*path, "scale"), "given without file: expected the file whose unit of length it is"
     for key, place in (("rate", "stream"), ("start", "stream"), ("settle_k_n", "settled")):
         if group.place != place and getattr(group, key):
             yield (*path, key), f'given together with place = "{group.place}": expected "{place}"'
@@ -83,6 +86,21 @@ def _placed(scene: Scene, path: Path, group: Particles) -> Iterator[Problem]:
                 (*path, "region"),
                 f"region: from {low.tolist()} to {high.tolist()}: expected every high above its low",
             )
+
+
+def _boxes(scene: Scene) -> Iterator[Problem]:
+    """Yield boxes that do not fill a period: they have no walls there."""
+    for name, wall in scene.walls.items():
+        if not isinstance(wall, BoxWall):
+            continue
+        for k in map(AXES.index, scene.periodic):
+            low, high = scene.extent[0][k], scene.extent[1][k]
+            if abs(wall.low[k] - low) > 1e-9 * (high - low) or abs(wall.high[k] - high) > 1e-9 * (high - low):
+                yield (
+                    ("walls", name, "size"),
+                    f"from {wall.low[k]:g} to {wall.high[k]:g} m in {AXES[k]}, which is periodic from {low:g} to "
+                    f"{high:g} m: expected a box that fills it",
+                )
 
 
 def _domain(scene: Scene) -> Iterator[Problem]:

@@ -10,15 +10,18 @@ import numpy as np
 from kncal.scene.bodies import AXES
 from kncal.scene.contact_limits import overlap_at
 from kncal.scene.finding import Finding
+from kncal.scene.groups import Region
 from kncal.scene.model import Plan
 from kncal.scene.scene import Scene
-from kncal.scene.shapes import faces
+from kncal.scene.shapes import distance_to, faces
 from kncal.scene.wall_motion import fastest
 
 #: Overlap of the hardest impact over the smaller radius: a contact of so much is none (refused), or a soft one.
 IMPACT_LARGEST, IMPACT_LARGE = 1.0, 0.2
 #: Share of a stream's region that its particles may fill when the next ones are put there.
 STREAM_LARGE = 0.2
+#: Points of a region that are tried.
+_TRIED = 4000
 
 
 def fastest_speed(scene: Scene, interval: float) -> tuple[float, str]:
@@ -64,6 +67,18 @@ def impacts(plan: Plan) -> Iterator[Finding]:
         yield worst[1]
 
 
+def _hit(scene: Scene, region: Region) -> str:
+    """Return the name of a wall that a region reaches into, "" if there is none: tried at points all over it."""
+    low, high = region.bounds
+    points = np.random.default_rng(1).uniform(low, high, (_TRIED, 3))
+    points = points[region.inside(points, 0.5 * scene.d_min)]
+    for name, wall in scene.walls.items():
+        gap = distance_to(wall, points, path_of=scene.path_of, open_axes=scene.open_axes)
+        if len(points) and float(gap.min()) < 0.45 * scene.d_min:
+            return name
+    return ""
+
+
 def streams(scene: Scene) -> Iterator[Finding]:
     """Find streams that are denser than particles can be inserted without touching.
 
@@ -73,6 +88,13 @@ def streams(scene: Scene) -> Iterator[Finding]:
     for name, group in scene.particles.items():
         if group.place != "stream" or group.rate is None or group.region is None:
             continue
+        if hit := _hit(scene, group.region):
+            yield Finding(
+                "stream-wall",
+                "refuse",
+                f"the region of the stream {name!r} reaches into the wall {hit!r}: particles would be inserted in it, "
+                "or behind it: expected a region clear of walls",
+            )
         speed = math.hypot(*group.velocity)
         low, high = group.region.bounds
         along = np.abs(np.array(group.velocity)) / speed if speed else np.abs(scene.up)

@@ -136,6 +136,9 @@ class Particles:
     file: FileName | None = Field(
         default=None, description="file in the case's folder with the centres: CSV, VTK, or a dump or data of LIGGGHTS"
     )
+    scale: Annotated[Number, above_zero("m")] = Field(
+        default=1.0, description="what the unit of length of the file is [m]: 1e-3 for mm"
+    )
     region: Region | None = Field(
         default=None, description='[particles.NAME.region] with shape "box" or "cylinder"; none: the box of the scene'
     )

@@ -38,15 +38,17 @@ class FromFile(NamedTuple):
     kind: NDArray[np.int64]
 
 
-def from_file(path: Path, diameter: float | None, e_n: float) -> FromFile:
-    """Read particles; all of ``diameter`` [m], or as the file says, in classes that keep k_n and e_n to 2 %.
+def from_file(path: Path, diameter: float | None, e_n: float, scale: float = 1.0) -> FromFile:
+    """Read particles, in units of ``scale`` [m]; all of ``diameter`` [m], or as the file says, in classes.
+
+    These keep k_n and e_n to `CLASS_ERROR`.
 
     Raises
     ------
     ReadError, InputError
         As `kncal.scene.particle_files.read_particles`, and if there is no diameter at all.
     """
-    found = read_particles(path)
+    found = read_particles(path, scale)
     if diameter is not None:
         return FromFile(found, Classes(np.array([diameter]), np.ones(1)), np.zeros(len(found.x), dtype=np.int64))
     return FromFile(found, *found.classes(CLASS_ERROR, e_n))

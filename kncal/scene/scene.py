@@ -207,7 +207,7 @@ class Scene:
         """Particles that start where a file says, by the name of their group; `ReadError` if one cannot be read."""
         e_n = min([self.contact.e_n, *self._exceptional("e_n")])
         return {
-            name: from_file(self.path_of(group.file), group.diameter, e_n)
+            name: from_file(self.path_of(group.file), group.diameter, e_n, group.scale)
             for name, group in self.particles.items()
             if group.file is not None
         }

@@ -260,3 +260,15 @@ def test_those_that_have_settled_keep_their_kind_and_others_join_them_as_the_cas
     assert np.array_equal(whole.x[1:], placed.x)
     with pytest.raises(CaseFileError, match="velocity"):
         scene(CONE + bed + "velocity = [0.1, 0.0, 0.0]\n")
+
+
+def test_a_stream_may_not_begin_in_a_wall_and_a_box_fills_its_period() -> None:
+    flowing = BEADS.replace('"lattice"', '"stream"\nrate = 0.01').replace("low = 0.02,", "low = {low},")
+    for low, hit in (("0.035", False), ("0.005", True)):
+        made = scene(CONE + flowing.replace("{low}", low))
+        found = [f for f in check(plan(made, ("linear",))["linear"]) if f.code == "stream-wall"]
+        assert bool(found) == hit
+    box = '[walls.box]\nshape = "box"\nsize = [0.04, 0.05, 0.3]\nmaterial = "steel"\n'
+    domain = "[domain]\nlow = [-0.03, -0.01, -0.01]\nhigh = [0.03, 0.06, 0.31]\n"
+    with pytest.raises(CaseFileError, match=r"walls\.box\.size"):
+        scene('periodic = ["x"]\n' + HEAD + box + domain + BEADS, head="")

@@ -217,8 +217,8 @@ class DeckOutlet:
         side = " ".join(str(self.direction * (axis == self.axis)) for axis in AXES)
         yield f"fix           plane_{self.place} all mesh/surface/planar file {self.file} type 1"
         yield (
-            f"fix           {self.fix} all massflow/mesh mesh plane_{self.place} vec_side {side} count once"
-            f"{' delete_atoms yes' if self.deletes else ''}"
+            f"fix           {self.fix} all massflow/mesh mesh plane_{self.place} vec_side {side} count "
+            f"{'once delete_atoms yes' if self.deletes else 'multiple'}"
         )
 
 
