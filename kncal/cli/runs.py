@@ -240,7 +240,8 @@ def _print_results(runs: Mapping[str, RunData], metrics: Mapping[str, Mapping[st
         rows.append([what, *(show.quantity(cost.exchange, "s", 3) for cost in costs)])
         rows += [["transport", *(cost.transport for cost in costs)]] if with_gas else []
     first = next(iter(runs.values()))
-    show.table(f"{first.model.scene.name} by {first.result.version or first.result.engine}", ["", *runs], rows)
+    solver = first.result.version if first.model.scene.coupled else first.result.engine
+    show.table(f"{first.model.scene.name} by {solver}", ["", *runs], rows)
 
 
 def _print_comparison(comparison: Comparison) -> None:
