@@ -33,7 +33,7 @@ from kncal.observe.surface import (
     parts_of_slope,
     slope_fit,
 )
-from kncal.observe.wall_forces import Silo, silo
+from kncal.observe.wall_forces import Silo, silo, upright
 from kncal.physics.statistics import MIN_SAMPLES, Average, average, average_of_samples
 from kncal.record.series import BedSeries
 from kncal.scene.scene import Scene
@@ -287,8 +287,8 @@ class GrainObservations:
     def carried(self) -> tuple[Array, Array]:
         """Vertical force of the particles on walls, positive downwards, of every interval [N].
 
-        Two arrays: (intervals,) on floors, (intervals, bins) on the rest. A floor is what a wall that is mostly loaded
-        in the two lowest bins that are loaded at all carries there.
+        Two arrays: (intervals,) on floors, (intervals, bins) on the rest. Of a box or a mesh that is mostly loaded in
+        the two lowest bins that are loaded at all, what it carries there is on a floor.
         """
         down = -(self.series.wall_force @ np.asarray(self.space.up))
         rows = rows_from(self.series, self.window.begin)
@@ -297,10 +297,14 @@ class GrainObservations:
         if not len(loaded):
             raise InputError("no particle pushes on a wall")
         below = loaded[0] + 2
-        floor = mean[:, :below].sum(axis=1) > _FLOOR * mean.sum(axis=1)
-        side = down.copy()
-        side[:, floor, :below] = 0.0
-        return down[:, floor, :below].sum(axis=(1, 2)), side.sum(axis=1)
+        floor, side = np.zeros(len(down)), down.copy()
+        for k, name in enumerate(self.series.facts.walls):
+            stands = upright(self.scene.walls.get(name), self.space.up)
+            low = stands is None and mean[k, :below].sum() > _FLOOR * mean[k].sum()
+            of = slice(None) if stands is False else slice(below if low else 0)
+            floor += down[:, k, of].sum(axis=1)
+            side[:, k, of] = 0.0
+        return floor, side.sum(axis=1)
 
     @cached_property
     def silo(self) -> Silo:

@@ -7,6 +7,7 @@ stress far below the surface is w lambda/A. Source: Janssen, Z. Ver. Dtsch. Ing.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,10 @@ from numpy.typing import NDArray
 
 from kncal.core.checks import Array
 from kncal.core.errors import InputError
+from kncal.scene.walls import AnyWall, ConeWall, CylinderWall, DiscWall, PlaneWall, PlateWall
+
+#: A flat wall whose normal has less than this share along gravity stands.
+_STEEP = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +43,21 @@ class Silo:
     limit: float
     spread: float
     fitted: NDArray[np.bool_]
+
+
+def upright(wall: AnyWall | None, up: Sequence[float]) -> bool | None:
+    """Return whether a wall is one that stands, against a floor or a lid; None for one that may be both."""
+    if isinstance(wall, CylinderWall | ConeWall):
+        return True
+    if isinstance(wall, PlaneWall):
+        normal = np.eye(3)["xyz".index(wall.axis)]
+    elif isinstance(wall, DiscWall):
+        normal = np.asarray(wall.normal, dtype=np.float64)
+    elif isinstance(wall, PlateWall):
+        normal = np.cross(wall.edge_1, wall.edge_2)
+    else:
+        return None
+    return bool(abs(normal @ np.asarray(up)) < _STEEP * np.linalg.norm(normal))
 
 
 def silo(edges: Array, weight: Array, carried: Array) -> Silo:

@@ -168,12 +168,13 @@ def wall_loads(runs: GrainRuns) -> Axes:
             force * found.limit / found.length * depth, ends[below], linewidth=0.9, color="0.5", linestyle=(0, (2, 2))
         )
         middle = 0.5 * (ends[1:] + ends[:-1])
-        axes[1].plot(1e-3 * found.carried / np.diff(found.edges), middle, linewidth=1.4, **style)
+        axes[1].plot(found.carried / np.diff(found.edges), middle, linewidth=1.4, **style)
     for ax, label in zip(
-        axes, (f"force through the cross-section [{newton}]", "on the walls, per height [kN/m]"), strict=True
+        axes, (f"force through the cross-section [{newton}]", "on the walls, per height [N/m]"), strict=True
     ):
         bare(ax)
         ax.set_xlabel(label)
     axes[0].set_ylabel(f"height [{unit}]")
+    axes[0].set_ylim(top=factor * 1.1 * max(seen.silo.top for seen in every))
     shared_legend(axes, 4)
     return axes[0]

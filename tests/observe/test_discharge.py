@@ -7,7 +7,8 @@ import pytest
 
 from kncal.core.errors import InputError
 from kncal.observe.discharge import discharge
-from kncal.observe.wall_forces import silo
+from kncal.observe.wall_forces import silo, upright
+from kncal.scene.walls import CylinderWall, DiscWall, PlaneWall, PlateWall
 
 MASS, DT = 1.3e-5, 0.01
 
@@ -71,3 +72,13 @@ def test_smooth_walls_carry_nothing_and_an_empty_silo_has_no_length():
     assert silo(edges, np.ones(20), np.zeros(20)).length == np.inf
     with pytest.raises(InputError, match="bins"):
         silo(edges, np.zeros(20), np.zeros(20))
+
+
+def test_walls_stand_or_are_floors_against_gravity():
+    up, tilted = (0.0, 0.0, 1.0), (0.5, 0.0, np.sqrt(0.75))
+    floor, side = (PlaneWall(shape="plane", material="rigid", axis=axis, position=0.0) for axis in "zx")
+    assert [upright(floor, up), upright(floor, tilted), upright(side, up)] == [False, False, True]
+    assert upright(CylinderWall(shape="cylinder", radius=1.0), up) is True
+    assert upright(DiscWall(shape="disc", centre=(0.0, 0.0, 0.0), radius=1.0), up) is False
+    plate = PlateWall(shape="plate", corner=(0.0, 0.0, 0.0), edge_1=(1.0, 0.0, 0.0), edge_2=(0.0, 0.0, 1.0))
+    assert upright(plate, up) is True and upright(None, up) is None
