@@ -193,7 +193,7 @@ def test_a_stiff_bed_at_rest_is_settled_by_a_softer_spring():
     def overlap(young: float) -> float:
         scene = mini(0.1)
         scene = replace(scene, materials={"soft": replace(scene.materials["soft"], young=young)})
-        scene = scene.with_group(settle_k_n=settling_spring(scene))
+        scene = scene.with_group(place="settled", settle_k_n=settling_spring(scene))
         model = plan(to_settle(scene), ("linear",))["linear"]
         return bottom_overlaps(model)[0, 0] / scene.diameter
 
@@ -206,6 +206,7 @@ def test_all_candidates_settle_alike_however_many_particles_there_are(tmp_path, 
     """A packing is found by a hash of what it depends on: the contact that is tried is not among that."""
 
     from kncal.engines.settle import _key
+    from kncal.scene.placement import Start
     from kncal.scene.plan import plan
 
     scene = load_case("packed_bed")
@@ -220,7 +221,7 @@ def test_all_candidates_settle_alike_however_many_particles_there_are(tmp_path, 
         for steps in (10.0, 50.0):
             bed_scene = load_case(path, overrides=contact.at(steps).variant.overrides)
             assert bed_scene.number == count
-            keys.add(_key(plan(to_settle(bed_scene), ("linear",))["linear"], np.zeros((1, 3))))
+            keys.add(_key(plan(to_settle(bed_scene), ("linear",))["linear"], Start.at(np.zeros((1, 3)))))
     assert len(keys) == 1
 
 
