@@ -309,9 +309,6 @@ STUDIES: dict[str, Callable[[Path], None]] = {
     "falling_particle": falling_particle,
     "wall_impact": wall_impact,
     "bubbling_bed_mini": averaged,
-    "hopper": averaged,
-    "drum": averaged,
-    "heap": averaged,
 }
 
 

@@ -390,7 +390,7 @@ def _overlap_share(seen: BedObservations) -> Average:
     edges = np.array(facts.histogram_edges)
     rows = rows_from(seen.series, seen.begin)
     # the share of each bin above the limit: 1 above, 0 below, linear within
-    weight = np.clip((edges[1:] - OVERLAP_LIMIT * facts.diameter) / np.diff(edges), 0.0, 1.0)
+    weight = np.clip((edges[1:] - 2.0 * OVERLAP_LIMIT * min(facts.radii)) / np.diff(edges), 0.0, 1.0)
     above, number = histogram @ weight, histogram.sum(axis=1).astype(np.float64)
     mean = float(number[rows].mean())
     if mean <= 0.0:

@@ -114,7 +114,7 @@ def model_signs(model: Plan) -> tuple[Sign, ...]:
     if not model.contacts:
         return ()
     scene = model.scene
-    d = scene.diameter
+    d = scene.d_min
     return (_static(max(bottom_overlaps(model).values()) / d, "at the bottom of the bed at rest"), _sound_of(model))
 
 
@@ -125,7 +125,7 @@ def _of_signals(data: RunData, reference: RunData | None) -> tuple[Sign, ...]:
     model, series = data.model, data.series
     if not model.contacts or not np.isfinite(series.overlap_max).any():
         return ()
-    d = series.facts.diameter
+    d = 2.0 * min(series.facts.radii)
     begin = _settled(series)
     largest = float(np.nanmax(series.overlap_max))
     mean = float(np.nanmean(series.overlap_mean[begin:]))
@@ -143,8 +143,9 @@ def _of_signals(data: RunData, reference: RunData | None) -> tuple[Sign, ...]:
 
 def _sound_of(model: Plan, reference: Plan | None = None) -> Sign:
     scene = model.scene
-    contact, d = _shortest(model.contacts), scene.diameter
-    mass = float(sphere_mass(scene.spheres[0].material, d / 2.0))
+    contact, d = _shortest(model.contacts), scene.d_min
+    smallest = min(scene.spheres, key=lambda sphere: sphere.radius)
+    mass = float(sphere_mass(smallest.material, smallest.radius))
     fastest = {"v_0": contact.v_0 or 0.0, "U_0": scene.inlet_at(0.0)}
     name = max(fastest, key=fastest.__getitem__)
     other = None if reference is None else _shortest(reference.contacts)

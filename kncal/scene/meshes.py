@@ -1,4 +1,4 @@
-"""Meshes of walls, in any format that meshio or pyvista reads.
+"""Meshes of walls, read by pyvista or meshio.
 
 ``python -m kncal.scene.meshes PATH`` reads one as the parent will: a damaged file may crash these readers.
 """
@@ -27,7 +27,9 @@ _VTK_TRIANGLE = 5
 _STL_HEAD, _STL_TRIANGLE = 84, 50
 
 #: XML by their name; a file may also begin with so many blanks that its first bytes do not show it.
-_XML_SUFFIXES = (".vtp", ".vtu", ".vts", ".vtr", ".vti", ".xdmf", ".xmf", ".svg", ".xml")
+_XML_SUFFIXES = (".vtp", ".vtu")
+#: What is read at all: files that hold all of a mesh themselves. Others (XDMF, HDF5 …) can name files anywhere.
+FORMATS = (".stl", ".obj", ".ply", ".off", ".vtk", ".vtp", ".vtu", ".msh", ".bdf", ".nas", ".inp", ".mesh")
 _PYVISTA_SUFFIXES = (".vtk", ".vtp", ".stl")  # meshio ends the program, or misreads the text form
 
 
@@ -48,6 +50,8 @@ def read_mesh(path: Path) -> Any:
         If the file is missing, too large, of an unknown format, damaged or without points, or if it is XML with
         a document type (which can blow up in memory, and which no mesh needs).
     """
+    if path.suffix.lower() not in FORMATS:
+        raise ReadError(f"{path}: not a format that is read: expected one of {', '.join(FORMATS)}")
     _refuse_unsafe(path)
     if path.suffix.lower() == ".stl":
         _refuse_cut_stl(path)

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from granular import placed, plan_of
 
-from kncal.core.errors import CaseFileError, KncalError
+from kncal.core.errors import CaseFileError, KncalError, ReadError
 from kncal.scene import meshes
 from kncal.scene.limits import check
+from kncal.scene.meshes import read_mesh
 from kncal.scene.shapes import write_stl
 
 pytestmark = pytest.mark.slow
@@ -83,3 +84,14 @@ def test_a_link_that_leads_out_of_the_case_is_refused(tmp_path: Path) -> None:
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     assert "hopper.stl" in refusal(tmp_path)
+
+
+@pytest.mark.parametrize("suffix", [".xdmf", ".xmf", ".h5m", ".med", ".cgns", ".exe", ""])
+def test_formats_that_may_name_other_files_are_not_read(suffix: str, tmp_path: Path) -> None:
+    """An XDMF file names the file of its numbers: one anywhere on the machine."""
+    secret = tmp_path / "secret.bin"
+    secret.write_bytes(bytes(72))
+    text = f'<Xdmf><DataItem Format="Binary">{secret}</DataItem></Xdmf>'
+    (tmp_path / f"a{suffix}").write_text(text)
+    with pytest.raises(ReadError, match="expected one of"):
+        read_mesh(tmp_path / f"a{suffix}")
