@@ -166,7 +166,9 @@ class GrainObservations:
         if self.window.doubt:
             found = replace(found, reliable=False, why="; ".join(filter(None, (self.window.doubt, found.why))))
         estimate = averaged(found, self.window.begin, float(self.series.t[-1]))
-        return replace(estimate, started=not self.window.doubt)
+        # where particles run out a longer run sees no more of them
+        lasting = None if self.kind == "passing" else estimate.average
+        return replace(estimate, started=not self.window.doubt, average=lasting)
 
     # --- parts that figures draw ------------------------------------------------------------------------------------
 

@@ -33,7 +33,8 @@ class Mixture:
     ----------
     lacey : (S_0² - S²)/(S_0² - S_R²): 0 separate, 1 as by chance
     chance : S_R²/S_0², what cells of so few particles have by chance
-    error : standard deviation of ``lacey`` of a mixture whose cells are drawn independently
+    error : standard deviation of ``lacey`` of a mixture whose cells are drawn independently: by the spread of the
+        cells, and at least what a random mixture has
     cells : their number; number : particles per cell
     """
 
@@ -109,7 +110,9 @@ def mixture(group: NDArray[np.int64], cell: NDArray[np.int64]) -> Mixture:
     each = ((counts / number[:, None] - p) ** 2).sum(axis=1)
     variance = float((each * number).sum() / total)  # as if every cell had its share of all particles
     chance = separate * (cells / total) * (total - total / cells) / (total - 1.0)
-    error = float(each.std(ddof=1)) / np.sqrt(cells) / (separate - chance)
+    # the spread of few cells is often too small by chance: at least that of S² of a random mixture, chi squared
+    spread = max(float(each.std(ddof=1)) / np.sqrt(cells), chance * np.sqrt(2.0 / ((cells - 1) * (groups - 1))))
+    error = spread / (separate - chance)
     return Mixture(
         lacey=(separate - variance) / (separate - chance),
         chance=chance / separate,

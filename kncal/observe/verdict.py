@@ -151,7 +151,7 @@ def _remedy(undecided: Sequence[Row]) -> tuple[str, str]:
     if (end := needed_end(undecided)) is not None:
         return "the runs are too short to judge", f"run until about {end:.3g} s (run.until_time)"
     if not any(_by_length(r) for r in undecided):
-        return "it is not known well enough to judge", "let the run come to its end, or allow more"
+        return "it is not known well enough to judge", "let the run come to its end, take more particles, or allow more"
     return "the runs are too short to judge", "run much longer, or allow more"
 
 

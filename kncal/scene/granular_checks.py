@@ -11,7 +11,7 @@ from kncal.scene.bodies import AXES
 from kncal.scene.groups import MOST_PARTICLES, Particles
 from kncal.scene.problem import Path, Problem
 from kncal.scene.scene import Scene
-from kncal.scene.walls import WALLS, BoxWall
+from kncal.scene.walls import WALLS, BoxWall, PlaneWall
 
 
 def granular(scene: Scene) -> Iterator[Problem]:
@@ -23,8 +23,11 @@ def granular(scene: Scene) -> Iterator[Problem]:
         yield from _group(scene, ("particles", name), group)
     for name, wall in scene.walls.items():
         yield from ((("walls", name, *path), text) for path, text in WALLS[wall.shape].problems(wall))
-    yield from _domain(scene)
-    yield from _boxes(scene)
+    found = list(_domain(scene))
+    yield from found
+    if not found:  # sizes and bounds are known
+        yield from _boxes(scene)
+        yield from _twins(scene)
 
 
 def _group(scene: Scene, path: Path, group: Particles) -> Iterator[Problem]:
@@ -86,6 +89,28 @@ def _placed(scene: Scene, path: Path, group: Particles) -> Iterator[Problem]:
                 (*path, "region"),
                 f"region: from {low.tolist()} to {high.tolist()}: expected every high above its low",
             )
+
+
+def _twins(scene: Scene) -> Iterator[Problem]:
+    """Yield names and planes that are there twice, and belts that leave their plane."""
+    taken = {name: f"[particles.{name}]" for name in scene.particles} | {n: f"[walls.{n}]" for n in scene.walls}
+    for name in scene.outlets:
+        if name in taken:
+            yield ("outlets", name), f"name = {name!r} is taken by {taken[name]}: expected a name of its own"
+    for group in scene.particles:
+        for found in (c.name for c in scene.classes if c.group == group and c.name != group and c.name in taken):
+            yield ("particles", group), f"its size {found!r} is called as {taken[found]}: expected a name of its own"
+    planes: dict[tuple[str, float], str] = {}
+    for name, wall in scene.walls.items():
+        if not isinstance(wall, PlaneWall):
+            continue
+        if wall.surface_velocity[AXES.index(wall.axis)]:
+            yield (
+                ("walls", name, "surface_velocity"),
+                f"surface_velocity = {list(wall.surface_velocity)}: expected none in {wall.axis}, along its normal",
+            )
+        if (other := planes.setdefault((wall.axis, wall.position), name)) != name:
+            yield ("walls", name, "position"), f"the same plane as wall {other!r}: expected another plane"
 
 
 def _boxes(scene: Scene) -> Iterator[Problem]:

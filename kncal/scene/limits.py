@@ -119,7 +119,7 @@ def findings_of(plans: Iterable[Plan]) -> Iterator[tuple[str, Finding]]:
         shared = plan.scene.coupled
         found = [f for f in check(plan) if not shared or f.code in _OF_CONTACTS or (f.code, f.level) not in said]
         said |= {(f.code, f.level) for f in found}
-        yield from (("" if shared else f"{plan.kind}: ", f) for f in found)
+        yield from (("" if shared and f.code not in _OF_CONTACTS else f"{plan.kind}: ", f) for f in found)
 
 
 def warnings_of(plans: Mapping[str, Plan]) -> tuple[str, ...]:

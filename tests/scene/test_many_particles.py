@@ -272,3 +272,20 @@ def test_a_stream_may_not_begin_in_a_wall_and_a_box_fills_its_period() -> None:
     domain = "[domain]\nlow = [-0.03, -0.01, -0.01]\nhigh = [0.03, 0.06, 0.31]\n"
     with pytest.raises(CaseFileError, match=r"walls\.box\.size"):
         scene('periodic = ["x"]\n' + HEAD + box + domain + BEADS, head="")
+
+
+PLANE = '[walls.{}]\naxis = "z"\nposition = 0.0\nmaterial = "steel"\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "key"),
+    [
+        (PLANE.format("a") + PLANE.format("b"), "walls.b"),
+        (PLANE.format("a") + "surface_velocity = [0.1, 0.0, 1.0]\n", "walls.a"),
+        ("[outlets.beads]\nposition = -0.01\n", "outlets.beads"),
+        (PLANE.format('"beads.1"'), "particles.beads"),
+    ],
+)
+def test_what_is_there_twice_is_refused(text: str, key: str) -> None:
+    with pytest.raises(CaseFileError, match=key.replace(".", r"\.")):
+        scene(CONE + BEADS + text)
