@@ -9,10 +9,12 @@ import json
 
 import numpy as np
 from validation_chung_ooi import CHUNG_OOI
-from validation_entry import Entry, expected
+from validation_entry import BOTH, Entry, expected
 
+from kncal.core.errors import InputError
 from kncal.core.shipped import folder
 from kncal.observe.run_data import RunData
+from kncal.observe.signals import rows_from
 
 _DEM, _GAS, _SLIDING = "MFIX's DEM01 to DEM06", "Particles and gas", "sliding, closed form"
 _GRAINS, _FARR = "Many particles without gas", "Farr & Groot (2009)"
@@ -26,6 +28,16 @@ def _stacked(run: RunData) -> float:
         path = frames.x[:, frames.names.index(name), "xyz".index(known["axis"])]
         apart.append(np.abs(np.interp(known["t"], frames.t, path) - known["value"]).max())
     return float(max(apart) / 1e-4)
+
+
+def _floor_by_janssen(run: RunData) -> float:
+    """Force on the floor over what Janssen's law gives for the length that is fitted to the wall's forces."""
+    seen = run.grains
+    if seen is None:
+        raise InputError(f"{run.model.scene.name}: no particles without gas")
+    rows, limit = rows_from(seen.series, seen.window.begin), seen.silo.limit
+    weight = float(seen.series.mass[-1]) * seen.series.facts.gravity
+    return float(seen.carried[0][rows].mean() / (limit * -np.expm1(-weight / limit)))
 
 
 MFIX = [
@@ -62,6 +74,25 @@ GRAINS = [
     expected(_GRAINS, "mass flow through a slot", "hopper_flat", "mass_flow", "Myers & Sellers", long=True),
     expected(_GRAINS, "frictionless packing of two sizes", "binary_packing", "packing_fraction", _FARR, long=True),
     expected(_GRAINS, "its contacts per sphere", "binary_packing", "coordination", "isostatic", long=True),
+    expected(_GRAINS, "dynamic angle of a rolling drum", "drum", "dynamic_angle", "22° to 32°, as quoted", long=True),
+    expected(_GRAINS, "force on the drum over weight", "drum", "support", "momentum", long=True),
+    expected(_GRAINS, "angle of repose", "heap", "angle_of_repose", "18° to 25°, as quoted", long=True),
+    expected(_GRAINS, "packing of the heap", "heap", "packing_fraction", "Silbert et al. (2002)", long=True),
+    expected(_GRAINS, "force on floor and wall over weight", "silo", "support", "weight", long=True),
+    expected(_GRAINS, "K μ of a silo", "silo", "janssen_k_mu", "Janssen (1895), K of 0.33 to 0.75", long=True),
+    Entry(
+        section=_GRAINS,
+        what="floor force of the silo over that by its own K μ",
+        source="Janssen (1895)",
+        case="silo",
+        metric="floor_by_janssen",
+        models=BOTH,
+        value=_floor_by_janssen,
+        reference=1.0,
+        tolerance=0.05,
+        long=True,
+    ),
+    expected(_GRAINS, "mixing index of a mixer", "mixer", "mixing_index", "random: Lacey (1954)", long=True),
 ]
 
 ENTRIES: tuple[Entry, ...] = (*CHUNG_OOI, *MFIX, *GAS, *GRAINS)

@@ -31,7 +31,7 @@ def seen_of(
     facts = SimpleNamespace(
         count=number, gas_density=0.0, gravity=G, diameter=D, coupling=DT, radii=(D / 2,) * 3, masses=(MASS,) * 3,
         groups=("red", "blue", "blue"), walls=("floor", "wall"), outlets=outlets, low=BOX[0], size=BOX[1],
-        periodic=("x", "y"), up=up, heights=np.linspace(0.0, BOX[1][2], 26),
+        periodic=("x", "y"), up=up, heights=np.linspace(0.0, BOX[1][2], 26), driven_until=0.0,
     )  # fmt: skip
     series = SimpleNamespace(
         facts=facts, t=t, U_0=np.zeros(couplings), contacts=np.ones(couplings),

@@ -45,6 +45,8 @@ MOST_FRAMES, MOST_MIXTURES = 50, 100
 _PARTS = 8
 #: A wall with more than this share of its force in the lowest bins is a floor there.
 _FLOOR = 0.6
+#: Walls that carry less than this share of the weight make no silo.
+_SILO = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -312,6 +314,11 @@ class GrainObservations:
     def silo(self) -> Silo:
         """The law of Janssen, fitted to the mean of the window."""
         rows, g = rows_from(self.series, self.window.begin), self.series.facts.gravity
+        share = float(self.carried[1][rows].sum() / sum(part[rows].sum() for part in self.carried))
+        if share < _SILO:
+            raise InputError(
+                f"the side walls carry {share:.2g} of the weight: expected a silo, where they carry {_SILO:g}"
+            )
         frames = [self.last] if self.resting else list(self.frames(_thinned(self.of_window, MIN_SAMPLES)))
         up = np.asarray(self.space.up)
         weights = [np.histogram(f.x @ up, self.series.facts.heights, weights=f.mass * g)[0] for f in frames]

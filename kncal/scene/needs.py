@@ -307,7 +307,7 @@ def _moving(scene: Scene) -> tuple[Need, Need]:
         Need(
             "settling",
             settles,
-            "the packing settles from a loose lattice"
+            f"the packing settles from {'a loose lattice' if scene.run.coupling else 'random places'}"
             if settles
             else f"the packing is {places}"
             if scene.number

@@ -132,6 +132,10 @@ def test_walls_that_follow_janssen_have_his_length_and_carry_the_weight():
     assert grain_estimate(seen, "janssen_k_mu").value is None  # of no cylinder
     seen.scene.walls["silo"] = CylinderWall(shape="cylinder", axis="z", centre=(0.0, 0.0), radius=0.012)
     assert grain_estimate(seen, "janssen_k_mu").value == pytest.approx(0.024 / (4.0 * length), rel=0.02)
+    heap = force.copy()
+    heap[:, 1] *= 0.02
+    heap[:, 0, 0, 2] = -weight
+    assert grain_estimate(seen_of([x] * 21, speeds=np.full(200, 1e-5), walls=heap), "janssen_length").value is None
 
 
 def test_a_packing_with_holes_at_rest_has_a_fraction_with_a_width():
