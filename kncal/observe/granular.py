@@ -181,6 +181,8 @@ class GrainObservations:
         What passes a plane and leaves behind it counts once.
         """
         t, mass = self.series.t, self.series.out_mass
+        if not mass.shape[1]:
+            raise InputError("no outlets: expected one, where a mass flow is to be measured")
         leave = np.array([self.scene.outlets[name].delete for name in self.series.facts.outlets], dtype=bool)
         out = mass[:, leave].sum(axis=1) if leave.any() else mass[:, int(mass[-1].argmax())]
         return discharge(np.concatenate([[0.0], t]), np.concatenate([[0.0], out]))

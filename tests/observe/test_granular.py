@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from seen_grains import BOX, DT, MASS, D, G, chute, pile, seen_of
 
+from kncal.core.errors import InputError
 from kncal.observe.grain_metrics import GRAIN_METRICS, grain_estimate
 from kncal.scene.metrics import METRICS
 from kncal.scene.walls import CylinderWall
@@ -169,3 +172,12 @@ def test_of_what_is_too_little_every_metric_says_why(left):
         for name in GRAIN_METRICS:
             found = grain_estimate(seen, name)
             assert found.why if found.value is None else np.isfinite(found.value), name
+
+
+def test_a_scene_without_outlets_has_no_flow_and_says_so():
+    rng = np.random.default_rng(10)
+    seen = seen_of([pile(rng, 0.1)] * 41, surface="slope")
+    if seen.series.out_mass.shape[1]:
+        seen = replace(seen, series=replace(seen.series, out_mass=seen.series.out_mass[:, :0]))
+    with pytest.raises(InputError, match="outlets"):
+        _ = seen.flow

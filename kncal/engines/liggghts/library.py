@@ -296,7 +296,8 @@ class LiggghtsDem:
         elif answer["count"] != due - answer["deleted"]:
             problem = (
                 f"{answer['count']} particles are left of {due}, and {answer['deleted']} passed outlets: some left "
-                "the domain elsewhere"
+                f"the domain elsewhere, by t = {answer['step'] * self._deck.dt:.3g} s. It is {_reach(self._deck)}: "
+                "expected walls or an outlet where they leave, or a larger [domain]"
             )
             failure = "lost-particles"
         elif steps is not None and answer["step"] != self._step + steps:
@@ -325,6 +326,13 @@ class LiggghtsDem:
             text, failure = f"particles left the column (its counts mean nothing): {text}", "lost-particles"
         failure, text = blame(failure, f"LIGGGHTS {how}: {text}; log: {self._log}", self._folder)
         return RunError(text, failure)
+
+
+def _reach(deck: Deck) -> str:
+    """Return the box of a deck in words."""
+    return ", ".join(
+        f"from {low:.4g} to {high:.4g} m in {axis}" for axis, (low, high) in zip("xyz", deck.box, strict=True)
+    )
 
 
 def _arguments(model: Plan, deck: Deck, sizes: Sizes) -> dict[str, object]:
