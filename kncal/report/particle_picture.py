@@ -10,6 +10,7 @@ import io
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -143,9 +144,17 @@ def _look(plotter: Any, arrays: Mapping[str, Any], k: int) -> None:
     plotter.camera.focal_point, plotter.camera.up = middle, up
     plotter.camera.parallel_projection = True
     plotter.background_color = "white"
+    ahead = along - 0.25 * side - 0.35 * up
+    across = np.cross(ahead, up) / np.linalg.norm(np.cross(ahead, up))
+    above = np.cross(across, ahead) / np.linalg.norm(ahead)
+    corners = np.array(list(product(*zip(low, high, strict=True)))) if len(walls) else x
+    room = arrays[f"radius{k}"].max()
+    half = [float(np.abs((corners - middle) @ axis).max()) + room for axis in (across, above)]
+    width, height = plotter.renderer.GetSize()
+    scale = max(half[1] / 0.84, half[0] / 0.95 * height / width)
     plotter.reset_camera(bounds=np.column_stack([low, high]).ravel().tolist())
-    plotter.camera.zoom(1.1)
-    down = 0.12 * plotter.camera.parallel_scale * up  # room for the colours' scale
+    plotter.camera.parallel_scale = scale
+    down = 0.1 * scale * above  # room for the colours' scale
     plotter.camera.position, plotter.camera.focal_point = plotter.camera.position - down, middle - down
 
 
