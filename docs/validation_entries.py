@@ -10,6 +10,7 @@ import json
 import numpy as np
 from validation_chung_ooi import CHUNG_OOI
 from validation_entry import BOTH, Entry, expected
+from validation_flowing import FLOWING
 
 from kncal.core.errors import InputError
 from kncal.core.shipped import folder
@@ -95,4 +96,4 @@ GRAINS = [
     expected(_GRAINS, "mixing index of a mixer", "mixer", "mixing_index", "random: Lacey (1954)", long=True),
 ]
 
-ENTRIES: tuple[Entry, ...] = (*CHUNG_OOI, *MFIX, *GAS, *GRAINS)
+ENTRIES: tuple[Entry, ...] = (*CHUNG_OOI, *MFIX, *GAS, *GRAINS, *FLOWING)

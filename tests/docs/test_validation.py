@@ -60,3 +60,14 @@ def test_every_comparison_has_a_case_and_a_reference(made: Any) -> None:
 def test_the_commands_parse(made: Any) -> None:
     for command in {made.command(entry) for entry in made.ENTRIES}:
         cli.app.parse_args(shlex.split(command)[1:], exit_on_error=False, print_error=False)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(0)
+@pytest.mark.solver
+@pytest.mark.parametrize("case", ["chute", "vibrated_bed"])
+def test_flowing_beads_are_as_published(case: str, made: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for entry in made.ENTRIES:
+        if entry.case == case:
+            assert made.result(entry)["verdict"] in ("ok", "undecided"), entry.name
