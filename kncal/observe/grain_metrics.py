@@ -17,16 +17,16 @@ from kncal.physics.statistics import MIN_SAMPLES, average, average_of_samples
 
 #: A mixing index that rises by less is no mixing.
 _MIXES = 0.25
-#: Metric of a packing at rest -> that whose parts tell how far another packing might be.
+#: Metric of a packing at rest -> those whose parts tell how far another packing might be: the least certain counts.
 _LIKE = {
-    "z_mean": "packing_fraction",
-    "z_95": "packing_fraction",
-    "contacts": "coordination",
-    "overlap_mean": "coordination",
-    "overlap_max": "coordination",
-    "overlap_share": "coordination",
-    "floor_share": "janssen_length",
-    "wall_share": "janssen_length",
+    "z_mean": ("packing_fraction", "angle_of_repose"),
+    "z_95": ("packing_fraction", "angle_of_repose"),
+    "contacts": ("coordination", "angle_of_repose"),
+    "overlap_mean": ("coordination", "angle_of_repose"),
+    "overlap_max": ("coordination",),
+    "overlap_share": ("coordination",),
+    "floor_share": ("janssen_length",),
+    "wall_share": ("janssen_length",),
 }
 
 
@@ -38,8 +38,8 @@ def one_packing(name: str, found: Estimate, estimates: Mapping[str, Estimate]) -
     """
     if name not in _LIKE or found.value is None:
         return found
-    like = estimates.get(_LIKE[name], missing(""))
-    share = like.width / abs(like.value) if like.value and like.width is not None else 1.0
+    like = [estimates.get(other, missing("")) for other in _LIKE[name]]
+    share = max((one.width / abs(one.value) for one in like if one.value and one.width is not None), default=1.0)
     why = "one packing at rest: how far another would differ is estimated from parts of it"
     of = 1.0 - found.value if name == "floor_share" else found.value  # walls carry the rest
     width = max(found.width or 0.0, share * abs(of))

@@ -150,12 +150,12 @@ def _remedy(undecided: Sequence[Row]) -> tuple[str, str]:
         return "the error of the time step is too large to judge", steps
     if (end := needed_end(undecided)) is not None:
         return "the runs are too short to judge", f"run until about {end:.3g} s (run.until_time)"
-    if not any(_by_length(r) for r in undecided):
+    if not any(by_length(r) for r in undecided):
         return "it is not known well enough to judge", "let the run come to its end, take more particles, or allow more"
     return "the runs are too short to judge", "run much longer, or allow more"
 
 
-def _by_length(row: Row) -> bool:
+def by_length(row: Row) -> bool:
     """Whether a longer run makes the difference more certain."""
     return row.basis == RMS or row.run.average is not None
 
@@ -298,7 +298,7 @@ def _coarse(invariants: Sequence[Invariant]) -> list[str]:
 
 
 def _undecided(rows: Sequence[Row]) -> list[str]:
-    open_ones = [(r.metric, r.difference.needed_end) for r in rows if r.verdict == "undecided" and _by_length(r)]
+    open_ones = [(r.metric, r.difference.needed_end) for r in rows if r.verdict == "undecided" and by_length(r)]
     texts = [f"{name} {'out of reach' if end is None else f'about {end:.3g} s'}" for name, end in open_ones]
     return _about(texts, "End time predicted to decide: {}.")
 
@@ -306,7 +306,7 @@ def _undecided(rows: Sequence[Row]) -> list[str]:
 def _differences(rows: Sequence[Row]) -> list[str]:
     known = [r for r in rows if r.difference.chance]
     # one value of each run that agree as well as the case asks: that they are not equal to the last bit says nothing
-    names = [r.metric for r in known if r.difference.significant and (_by_length(r) or r.verdict != "ok")]
+    names = [r.metric for r in known if r.difference.significant and (by_length(r) or r.verdict != "ok")]
     if names:
         return [
             f"Differences larger than their uncertainty: {', '.join(names)}."

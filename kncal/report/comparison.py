@@ -193,7 +193,7 @@ def _remark(comparison: Comparison) -> str:
 def _windows(comparison: Comparison) -> str:
     texts = [
         f"{d.model.kind}: {seen.begin:.3g} to {float(d.series.t[-1]):.3g} s"
-        + ("" if seen.window.by == "given" else f", start-up found in {seen.window.by}")
+        + {"given": "", "rest": ", at rest"}.get(seen.window.by, f", start-up found in {seen.window.by}")
         for d, seen in ((run, run.seen) for run in comparison.runs)
     ]
     return "; ".join(texts)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from kncal.core.units import percent, quantity
 from kncal.observe.estimate import Estimate
 from kncal.observe.row import Row, allowed, difference_text
+from kncal.observe.verdict import by_length
 from kncal.report.page import Table, marks
 
 _SIDES = ("linear", "hertz")
@@ -91,6 +92,8 @@ def _to_decide(row: Row) -> str:
     if not row.difference.chance:
         return "to decide, take more steps per contact"
     end = row.difference.needed_end
+    if end is None and not by_length(row):
+        return "to decide, take more particles"
     return "to decide, run " + ("much longer (out of reach)" if end is None else f"until about {end:.3g} s")
 
 

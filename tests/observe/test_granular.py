@@ -9,7 +9,8 @@ import pytest
 from seen_grains import BOX, DT, MASS, D, G, chute, pile, seen_of
 
 from kncal.core.errors import InputError
-from kncal.observe.grain_metrics import GRAIN_METRICS, grain_estimate
+from kncal.observe.estimate import Estimate
+from kncal.observe.grain_metrics import GRAIN_METRICS, grain_estimate, one_packing
 from kncal.scene.metrics import METRICS
 from kncal.scene.walls import CylinderWall
 
@@ -65,6 +66,16 @@ def test_what_passes_a_plane_and_leaves_behind_it_counts_once():
     for planes in (("out",), ("plane", "out"), ("plane",), ("plane", "other")):
         seen = seen_of([x] * 41, out=out, outlets=planes)
         assert grain_estimate(seen, "mass_flow").value == pytest.approx(2000.0 * MASS), planes
+
+
+def test_the_height_of_a_heap_is_as_uncertain_as_its_angle():
+    """Heaps of other angles have other heights, however well the packing is known."""
+    height = Estimate(value=0.02, width=1e-6)
+    known = {"packing_fraction": Estimate(value=0.6, width=0.003), "angle_of_repose": Estimate(value=24.0, width=3.0)}
+    assert one_packing("z_mean", height, known).width == pytest.approx(0.02 * 3.0 / 24.0)
+    del known["angle_of_repose"]
+    assert one_packing("z_mean", height, known).width == pytest.approx(0.02 * 0.003 / 0.6)
+    assert one_packing("z_mean", height, {}).width == pytest.approx(0.02)
 
 
 def test_what_is_inside_stays_as_long_as_it_takes_to_flow_out():
