@@ -8,6 +8,7 @@ of parts of it. Else values are averages over the frames of the window. What is 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -112,7 +113,8 @@ class GrainObservations:
         t, slack = self.series.t_frame, 1e-9 * self.series.facts.coupling
         begin, end = self.window.begin, float(self.series.t[-1])
         if self.kind == "passing":
-            begin, end = self.flow.begin, self.flow.end
+            with suppress(InputError):  # they come in, and none passes an outlet
+                begin, end = self.flow.begin, self.flow.end
         found = np.flatnonzero((t >= begin - slack) & (t <= end + slack))
         return _thinned(found[evenly(self.series.frame_coupling[found])], MOST_FRAMES)
 
@@ -154,7 +156,10 @@ class GrainObservations:
     def over_frames(self, values: Array) -> Estimate:
         """Return the average of a quantity of each frame of the window."""
         if len(values) < MIN_SAMPLES:
-            raise InputError(f"{len(values)} evenly spaced frames in the window: expected at least {MIN_SAMPLES}")
+            raise InputError(
+                f"{len(values)} evenly spaced frames in the window: expected at least {MIN_SAMPLES}; "
+                "set a shorter run.frames_every, or a later run.until_time"
+            )
         if not np.isfinite(values).all():
             raise InputError("not defined in every frame")
         return self.averaged(average(self.series.t_frame[self.of_window], values, 0.0))

@@ -89,7 +89,7 @@ class RunData:
         has = {
             "frames": len(series.t_frame) > 0,
             "series:pressure": series.facts.gas_density > 0.0,
-            "series:forces": bool(np.isfinite(series.floor).any()),
+            "series:forces": self.model.scene.run.coupling is not None and bool(np.isfinite(series.floor).any()),
             "series:particles": True,
             "series:overlaps": bool(np.isfinite(series.overlap_max).any()),
             "fields:eps_g": len(series.eps_g) > 0,

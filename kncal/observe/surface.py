@@ -226,7 +226,10 @@ def _fitted(s: Array, h: Array, width: float, across: tuple[float, float, float]
     for share in FLANK:
         mask = _flank(s, h, width, share)
         if mask.sum() < _FEWEST:
-            raise InputError(f"{mask.sum()} columns of the surface could be fitted: expected at least {_FEWEST}")
+            raise InputError(
+                f"{mask.sum()} columns of the surface could be fitted: expected at least {_FEWEST}; set a smaller "
+                "observe.width, or take more particles"
+            )
         slope = float(theilslopes(h[mask], s[mask]).slope)
         lines.append((slope, float(np.median(h[mask] - slope * s[mask])), mask))
     slope, offset, mask = lines[0]

@@ -125,6 +125,8 @@ def _judgement(linear: Plan, hertz: Plan, rows: Sequence[Row], within: str) -> s
             for r in failed
         ]
         rest = f"; {len(undecided)} undecided" if undecided else ""
+        if not any(r.verdict == "outside" for r in failed):
+            return f"Not judged: {', '.join(texts)}{rest}."
         how_many = f"{len(failed)} of {len(judged)} metrics judged"
         return f"Outside tolerance: {who} does not agree with {laws} in {how_many}: {', '.join(texts)}{rest}."
     if undecided:

@@ -16,7 +16,7 @@ def records_of(scene: Scene) -> tuple[str, ...]:
     has = {
         "frames": True,
         "series:pressure": box,
-        "series:forces": True,
+        "series:forces": box,
         "series:particles": True,
         "series:overlaps": True,
         "fields:eps_g": box,
