@@ -9,6 +9,7 @@ import logging
 import math
 import os
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from datetime import timedelta
 from functools import partial
@@ -19,7 +20,7 @@ import numpy as np
 from kncal.core.arrays import read_npz
 from kncal.core.awake import awake
 from kncal.core.checks import Array
-from kncal.core.errors import InputError, ReadError, RunError
+from kncal.core.errors import InputError, ReadError, RunError, SolverMissingError, failure_of
 from kncal.core.files import replacing, sweep_parts
 from kncal.core.lock import only_one
 from kncal.core.scratch import scratch
@@ -167,7 +168,7 @@ def _settle(model: Plan, start: Start, tell: Tell, progress: Progress | None) ->
     falling = math.ceil(fall / (chunk * model.dt))
     quiet, shares = 0, [math.inf]
     said = _Said(scene, chunk * (falling + _USUAL), model.dt, tell, progress)
-    with scratch() as folder, LiggghtsDem(model, folder, start) as dem:
+    with scratch() as folder, _while_settling(scene), LiggghtsDem(model, folder, start) as dem:
         said(chunk * (falling + _USUAL), 0, 0)
         for look in range(looks):
             total = chunk * (look + min(_looks_left(shares, falling), looks - look))
@@ -184,6 +185,18 @@ def _settle(model: Plan, start: Start, tell: Tell, progress: Progress | None) ->
         f"{share:.2g} m g d, expected below {RESTING:g}; take e_n below 1, a rolling friction "
         '(particles that roll on a plane do not stop), a smaller time step, or place = "lattice"'
     )
+
+
+@contextmanager
+def _while_settling(scene: Scene) -> Iterator[None]:
+    """Tell that a failure is one of the settling; its log is gone with it."""
+    try:
+        yield
+    except SolverMissingError:
+        raise
+    except RunError as error:
+        text = f"{scene.name}: while the particles settled: {str(error).partition('; log: ')[0]}"
+        raise RunError(text, failure_of(error)) from error
 
 
 def _corners(scene: Scene) -> Iterator[Array]:
