@@ -15,11 +15,14 @@ from kncal.scene.model import Plan
 from kncal.scene.scene import Scene
 from kncal.scene.shapes import distance_to, faces
 from kncal.scene.wall_motion import fastest
+from kncal.scene.walls import Oscillation
 
 #: Overlap of the hardest impact over the smaller radius: a contact of so much is none (refused), or a soft one.
 IMPACT_LARGEST, IMPACT_LARGE = 1.0, 0.2
 #: Share of a stream's region that its particles may fill when the next ones are put there.
 STREAM_LARGE = 0.2
+#: Phases of an oscillation that are too few to tell its mean.
+FEW_PHASES = 4
 #: Points of a region that are tried.
 _TRIED = 4000
 
@@ -109,3 +112,28 @@ def streams(scene: Scene) -> Iterator[Finding]:
                 f"{STREAM_LARGE:g}, so that particles can be inserted without touching; take a larger region, a higher "
                 "velocity or a smaller rate",
             )
+
+
+def phases(plan: Plan) -> Iterator[Finding]:
+    """Find looks and frames that meet an oscillating wall in the same few phases all the time.
+
+    Averages over them would be those of these phases.
+    """
+    looks = {"run.sample_every": 1, "run.frames_every": plan.frames_every}
+    for name, wall in plan.scene.walls.items():
+        for motion in wall.motion:
+            if not isinstance(motion, Oscillation):
+                continue
+            for key, intervals in looks.items():
+                turns, number = intervals * plan.coupling / motion.period, plan.couplings // intervals
+                for few in range(1, FEW_PHASES + 1):
+                    drift = number * abs(turns - round(few * turns) / few)
+                    if round(few * turns) and drift < 0.5 / few:
+                        yield Finding(
+                            "few-phases",
+                            "warn",
+                            f"{key}: {intervals * plan.coupling:.4g} s see the wall {name!r}, which oscillates in "
+                            f"{motion.period:g} s, in {few} of its phases only, and averages are those of them: "
+                            "expected a time that is no simple part or multiple of the period",
+                        )
+                        break

@@ -11,6 +11,7 @@ import pytest
 from granular import placed, plan_of
 
 from kncal.core.checks import Array
+from kncal.scene.granular_limits import phases
 from kncal.scene.limits import check
 from kncal.scene.shapes import faces
 from kncal.scene.wall_limits import SKIN, mesh
@@ -121,3 +122,32 @@ def test_a_mesh_file_that_cannot_be_read_is_a_refusal_of_the_scene(tmp_path: Pat
     (tmp_path / "hopper.stl").write_text("solid a\nendsolid a\n")
     with pytest.raises(Exception, match=r"hopper\.stl"):
         plan_of(placed((0.0, 0.02, 0.01)) + '[walls.hopper]\nshape = "mesh"\nfile = "hopper.stl"\n', home=tmp_path)
+
+
+SHAKER = """
+[walls.floor]
+shape = "disc"
+centre = [0, 0, -0.003]
+radius = 0.02
+motion = [{kind = "oscillate", amplitude = [0.0, 0.0, 1e-3], period = 0.05}]
+"""
+
+
+@pytest.mark.parametrize(
+    ("sample", "frames", "keys"),
+    [
+        (5e-4, 0.0131, set()),
+        (5e-4, 0.05, {"run.frames_every"}),
+        (5e-4, 0.1, {"run.frames_every"}),
+        (5e-4, 0.025, {"run.frames_every"}),
+        (0.05, 0.05, {"run.sample_every", "run.frames_every"}),
+    ],
+)
+def test_frames_that_see_few_phases_of_a_shaken_floor_are_told(sample: float, frames: float, keys: set[str]) -> None:
+    """As the phases of the frames themselves show: there are gaps between them."""
+    model = plan_of(placed([0, 0, 0.01]) + SHAKER, until=1.5, sample=sample, frames=frames)
+    assert {found.message.partition(":")[0] for found in phases(model)} == keys
+    every = model.frames_every * model.coupling
+    seen = np.sort(np.mod(np.arange(1, 1 + model.couplings // model.frames_every) * every / 0.05, 1.0))
+    gap = np.diff(np.append(seen, seen[0] + 1.0)).max()
+    assert ("run.frames_every" in keys) == (gap > 0.12)
