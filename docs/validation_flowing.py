@@ -73,7 +73,7 @@ FLOWING = [
         value=base_angle,
         unit="°",
         reference=slope,
-        tolerance=0.02,
+        tolerance=0.04,
         long=True,
     ),
     expected(
