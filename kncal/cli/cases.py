@@ -49,6 +49,10 @@ def new(
     text = _changed_from(case, source.read_text("utf-8"))
     folder.mkdir(parents=True)
     (folder / "case.toml").write_text(text, encoding="utf-8")
+    for name in load_case(case).files:  # meshes and tables that it names
+        target = folder / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_bytes((resource("cases") / case / name).read_bytes())
     show.say(f"{folder / 'case.toml'} written: edit it, then: kncal compare {folder}")
 
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import sys
 import warnings
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -16,13 +15,16 @@ import numpy as np
 from kncal.core.checks import Array
 from kncal.core.child import ChildError, answer, ask
 from kncal.core.errors import ReadError
-from kncal.core.files import open_limited
+from kncal.core.files import open_limited, sha256
 
 #: A larger mesh file is refused [bytes]; what a reader may take beyond what Python and VTK have taken already.
 MAX_BYTES, MEMORY, SECONDS = 1024**3, 4 * 1024**3, 60
 #: Triangles of one wall; LIGGGHTS reads them in seconds.
 MOST_TRIANGLES = 1_000_000
 _VTK_TRIANGLE = 5
+#: Triangles by the content of their file: a scene asks often for its walls, and its copies for the same.
+_known: dict[tuple[str, str], Array] = {}
+_MOST_KNOWN = 16
 #: Bytes of a binary STL file: its head with the number of triangles, and each triangle.
 _STL_HEAD, _STL_TRIANGLE = 84, 50
 
@@ -73,15 +75,16 @@ def triangles_of(path: Path) -> Array:
     ReadError
         As `read_mesh`; or if it has no triangle, more than `MOST_TRIANGLES`, or a coordinate that is not finite.
     """
-    try:
-        at = path.stat()
-    except OSError as error:
-        raise ReadError(f"{path}: cannot be read ({error.strerror}); expected a mesh file") from error
-    return _triangles(path, at.st_size, at.st_mtime_ns)
+    digest = sha256(path)
+    if (known := _known.get((digest, path.suffix.lower()))) is None:
+        known = _triangles(path)
+        _known[digest, path.suffix.lower()] = known
+        if len(_known) > _MOST_KNOWN:
+            del _known[next(iter(_known))]
+    return known
 
 
-@lru_cache(maxsize=16)  # a scene asks often for its walls; size and time stand for the content
-def _triangles(path: Path, size: int, changed: int) -> Array:
+def _triangles(path: Path) -> Array:
     mesh = read_mesh(path).cast_to_unstructured_grid().triangulate()
     cells = mesh.cells_dict.get(_VTK_TRIANGLE, np.empty((0, 3), dtype=np.intp))
     corners: Array = np.array(mesh.points, dtype=np.float64)[cells]

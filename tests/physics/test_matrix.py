@@ -127,7 +127,7 @@ def test_a_matrix_made_by_hand_says_what_it_lacks_for_a_block():
     with pytest.raises(InputError, match="calibrate_matrix"):
         matrix_block(PairMatrix(("a",), (), {("a", "a"): MATRIX["small", "small"]}))
     with pytest.raises(InputError, match="style"):
-        matrix_block(MATRIX, "hertz/stiffness")
+        matrix_block(MATRIX, "hooke/hysteresis")
 
 
 def test_liggghts_block_states_the_contact_end_it_needs():

@@ -149,7 +149,7 @@ def check_rendered(folder: Path, library: bool = False) -> None:
 def test_what_is_rendered_for_every_shipped_case_holds_no_code(name: str, tmp_path: Path) -> None:
     text = find_case(name).read_text()
     tables = changed(text, ("title",), "HOSTILE; shell touch ran; #calc")
-    scene = load(text, tables, name=name)
+    scene = parse_case(text, name=name, tables=tables, folder=find_case(name).parent)
     if scene.coupled:
         for kind, model in plan(scene).items():
             if model.contacts:
