@@ -37,7 +37,7 @@ def seen_of(
         facts=facts, t=t, U_0=np.zeros(couplings), contacts=np.ones(couplings),
         floor=np.ones(couplings), p_in=np.full(couplings, np.nan),
         z_mean=np.ones(couplings), kinetic_energy=energy, kinetic_rotation=0.4 * energy, mass=inside,
-        out_mass=np.column_stack([np.zeros(couplings) if out is None else out] * max(len(outlets), 1)),
+        out_mass=np.tile(np.zeros((couplings, 1)) if out is None else np.reshape(out, (-1, 1)), len(outlets)),
         t_frame=DT * 10 * np.arange(len(frames)),
         frame_coupling=10 * np.arange(len(frames)),
         x=[x.astype(np.float32) for x in frames], v=v, spin=[np.zeros((number, 3))] * len(frames),

@@ -35,7 +35,7 @@ def new(
     """Copy a shipped case as the start of your own."""
     from kncal.core.checks import one_of, plain_name
     from kncal.core.shipped import folder as resource
-    from kncal.scene.case_file import shipped_cases
+    from kncal.scene.case_file import load_case, shipped_cases
 
     one_of("case", case, shipped_cases())
     if folder.exists():

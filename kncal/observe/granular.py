@@ -35,7 +35,7 @@ from kncal.observe.surface import (
     slope_fit,
 )
 from kncal.observe.wall_forces import Silo, silo, upright
-from kncal.physics.statistics import MIN_SAMPLES, Average, average, average_of_samples
+from kncal.physics.statistics import MIN_SAMPLES, Average, average, average_of_samples, start_up
 from kncal.record.series import BedSeries
 from kncal.scene.scene import Scene
 from kncal.scene.walls import BoxWall, CylinderWall
@@ -165,8 +165,20 @@ class GrainObservations:
         return self.averaged(average(self.series.t_frame[self.of_window], values, 0.0))
 
     def over_rows(self, values: Array) -> Estimate:
-        """Return the average of a signal per interval in the window."""
-        return self.averaged(average(self.series.t[-len(values) :], values, self.window.begin))
+        """Return the average of a signal per interval in the window.
+
+        At rest forces still relax when nothing moves any more: the signal's own start-up is left out, and what its
+        halves differ by is no chance, so the width is at least that.
+        """
+        t = self.series.t[-len(values) :]
+        if not self.resting:
+            return self.averaged(average(t, values, self.window.begin))
+        inside = np.flatnonzero(t >= self.window.begin)
+        kept = inside[min(start_up(values[inside]), max(len(inside) - MIN_SAMPLES, 0)) :]
+        found = average(t[kept], values[kept])
+        first, second = np.array_split(values[kept], 2)
+        drift = abs(float(second.mean() - first.mean())) + abs(float(values[-1] - second.mean()))
+        return self.averaged(replace(found, uncertainty=max(found.uncertainty, drift)))
 
     def averaged(self, found: Average) -> Estimate:
         """Return an average as an estimate, with what is to be doubted about the whole run."""

@@ -43,6 +43,9 @@ def _group(scene: Scene, path: Path, group: Particles) -> Iterator[Problem]:
     if group.place == "given":
         if bool(group.centres) == (group.file is not None):
             yield path, 'position: expected one of position, positions and file with place = "given"'
+        for key in ("velocity", "spin"):
+            if group.file is not None and any(getattr(group, key)):
+                yield (*path, key), f"{key}: given together with file: expected it in columns of the file"
         if numbers and not (numbers == ["count"] and group.count == len(group.centres)):
             yield (*path, numbers[0]), f"{numbers[0]}: given together with where each particle is: leave it out"
     else:
@@ -147,6 +150,14 @@ def _domain(scene: Scene) -> Iterator[Problem]:
             yield ("particles", name), "not one particle: expected a larger count, mass or fill, or to leave it out"
     if (number := scene.number) > MOST_PARTICLES:
         yield ("particles",), f"{number} particles: expected at most {MOST_PARTICLES}"
+    for name, outlet in scene.outlets.items():
+        k = AXES.index(outlet.axis)
+        if not scene.extent[0][k] < outlet.position < scene.extent[1][k]:
+            yield (
+                ("outlets", name, "position"),
+                f"position = {outlet.position:g}: expected it inside the domain, between {scene.extent[0][k]:g} and "
+                f"{scene.extent[1][k]:g} m in {outlet.axis}",
+            )
     for axis in map(AXES.index, scene.periodic):
         low, high = scene.extent
         if classes and high[axis] - low[axis] < 3.0 * scene.d_max:

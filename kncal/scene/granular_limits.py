@@ -7,15 +7,20 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from kncal.core.checks import Array
 from kncal.scene.bodies import AXES
 from kncal.scene.contact_limits import overlap_at
 from kncal.scene.finding import Finding
 from kncal.scene.groups import Region
 from kncal.scene.model import Plan
 from kncal.scene.scene import Scene
-from kncal.scene.shapes import distance_to, faces
+from kncal.scene.shapes import bounds_of, distance_to, faces
 from kncal.scene.wall_motion import fastest
+<<<<<<< HEAD
 from kncal.scene.walls import Oscillation
+=======
+from kncal.scene.walls import MeshWall
+>>>>>>> 88ed0af (What a landing took back is there again; kncal new copies the files of a case; meshes are known by their content; test files have names of their own)
 
 #: Overlap of the hardest impact over the smaller radius: a contact of so much is none (refused), or a soft one.
 IMPACT_LARGEST, IMPACT_LARGE = 1.0, 0.2
@@ -25,6 +30,10 @@ STREAM_LARGE = 0.2
 FEW_PHASES = 4
 #: Points of a region that are tried.
 _TRIED = 4000
+#: A mesh of so many diameters is often one in mm.
+_HUGE = 2000.0
+#: A mesh so many times wider than the domain that the case gives has nothing to do with it.
+_LOST = 50.0
 
 
 def fastest_speed(scene: Scene, interval: float) -> tuple[float, str]:
@@ -70,6 +79,32 @@ def impacts(plan: Plan) -> Iterator[Finding]:
         yield worst[1]
 
 
+def strays(scene: Scene) -> Iterator[Finding]:
+    """Find walls that cannot be touched, or are so large that their unit of length is in doubt."""
+    low, high = scene.extent
+    for name, wall in scene.walls.items():
+        lower, upper = bounds_of(wall, scene.path_of)
+        if (upper < low).any() or (lower > high).any():
+            yield Finding(
+                "wall-outside",
+                "refuse",
+                f"the wall {name!r}, from {_short(lower)} to {_short(upper)} m, lies outside the domain, "
+                f"{_short(low)} to {_short(high)} m: expected it inside, or a larger [domain]",
+            )
+        elif isinstance(wall, MeshWall) and (size := float((upper - lower).max())) > _HUGE * scene.d_max:
+            lost = scene.domain is not None and size > _LOST * float((high - low).max())
+            yield Finding(
+                "wall-huge",
+                "refuse" if lost else "warn",
+                f"the mesh of the wall {name!r} is {size:g} m wide, {size / scene.d_max:.3g} diameters: is its file in "
+                "mm? Then scale = 1e-3",
+            )
+
+
+def _short(point: Array) -> str:
+    return f"[{', '.join(f'{value:.4g}' for value in point)}]"
+
+
 def _hit(scene: Scene, region: Region) -> str:
     """Return the name of a wall that a region reaches into, "" if there is none: tried at points all over it."""
     low, high = region.bounds
@@ -103,6 +138,14 @@ def streams(scene: Scene) -> Iterator[Finding]:
         along = np.abs(np.array(group.velocity)) / speed if speed else np.abs(scene.up)
         length = float(along @ (high - low))
         speed = math.sqrt(speed**2 + 2.0 * scene.g * length)  # of those that leave it, fallen or not
+        if speed == 0.0:
+            yield Finding(
+                "stream-dense",
+                "refuse",
+                f"the stream {name!r} has no velocity, and there is no gravity: nothing leaves its region: expected a "
+                "velocity",
+            )
+            continue
         share = group.rate / (scene.materials[group.material].density * group.region.volume / length * speed)
         if share > STREAM_LARGE:
             yield Finding(

@@ -72,6 +72,7 @@ LIMITS = (
     Limit(_granular, lambda p, _: granular_limits.impacts(p)),
     Limit(_granular, lambda p, _: granular_limits.streams(p.scene)),
     Limit(_granular, lambda p, _: granular_limits.phases(p)),
+    Limit(_granular, lambda p, _: granular_limits.strays(p.scene)),
     Limit(_granular, lambda p, _: wall_limits.walls(p)),
     Limit(_gas, lambda p, _: box_limits.jet_faces(p.scene, p.scene.gas)),
     Limit(_gas, lambda p, _: box_limits.small_cells(p.scene, p.scene.gas)),

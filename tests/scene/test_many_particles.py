@@ -289,3 +289,14 @@ PLANE = '[walls.{}]\naxis = "z"\nposition = 0.0\nmaterial = "steel"\n'
 def test_what_is_there_twice_is_refused(text: str, key: str) -> None:
     with pytest.raises(CaseFileError, match=key.replace(".", r"\.")):
         scene(CONE + BEADS + text)
+
+
+def test_what_lies_outside_of_the_domain_is_refused() -> None:
+    domain = "[domain]\nlow = [-0.05, -0.05, -0.05]\nhigh = [0.05, 0.05, 0.25]\n"
+    with pytest.raises(CaseFileError, match=r"outlets\.out\.position"):
+        scene(CONE + BEADS + domain + "[outlets.out]\nposition = -0.06\n")
+    made = scene(CONE + BEADS + domain + PLANE.format("far").replace("0.0", "1.0"))
+    assert [f.level for f in check(plan(made, ("linear",))["linear"]) if f.code == "wall-outside"] == ["refuse"]
+    still = BEADS.replace('"lattice"', '"stream"\nrate = 0.01')
+    made = scene(CONE + still, head=HEAD.replace("-9.81", "0.0"))
+    assert [f.code for f in check(plan(made, ("linear",))["linear"]) if f.level == "refuse"] == ["stream-dense"]
