@@ -16,11 +16,7 @@ from kncal.scene.model import Plan
 from kncal.scene.scene import Scene
 from kncal.scene.shapes import bounds_of, distance_to, faces
 from kncal.scene.wall_motion import fastest
-<<<<<<< HEAD
-from kncal.scene.walls import Oscillation
-=======
-from kncal.scene.walls import MeshWall
->>>>>>> 88ed0af (What a landing took back is there again; kncal new copies the files of a case; meshes are known by their content; test files have names of their own)
+from kncal.scene.walls import MeshWall, Oscillation
 
 #: Overlap of the hardest impact over the smaller radius: a contact of so much is none (refused), or a soft one.
 IMPACT_LARGEST, IMPACT_LARGE = 1.0, 0.2
