@@ -34,6 +34,8 @@ from kncal.record.series import BedSeries
 from kncal.scene.gas import Gas
 from kncal.scene.metrics import COUPLED, KINDS_OF_BEDS, METRICS, offered, why_not
 
+pytestmark = pytest.mark.slow
+
 GAS = Gas(cells=(5, 1, 20), density=1.2, viscosity=1.8e-5)
 
 

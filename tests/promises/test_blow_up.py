@@ -9,9 +9,12 @@ import zipfile
 from pathlib import Path
 
 import numpy as np
+import pytest
 from children import bounded
 
 from kncal.scene.case_text import find_case
+
+pytestmark = pytest.mark.slow
 
 SINGLE = find_case("wall_impact")
 BED = find_case("bubbling_bed_mini")

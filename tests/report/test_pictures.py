@@ -16,6 +16,8 @@ from kncal.record.paraview import write_paraview
 from kncal.report import plots, style
 from kncal.report.animation import animate, snapshot
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def runs():

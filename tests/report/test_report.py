@@ -26,6 +26,8 @@ from kncal.scene.needs import decide
 from kncal.scene.plan import pair_of
 from kncal.scene.scene import Scene
 
+pytestmark = pytest.mark.slow
+
 HOSTILE = '<img src=x onerror="alert(1)"></script><script>alert(2)</script>'
 CASE = replace(
     on_wall(velocity=(0.0, 0.0, -1.0)),

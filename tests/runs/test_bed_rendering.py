@@ -23,6 +23,8 @@ from kncal.scene.case_file import load_case
 from kncal.scene.plan import plan
 from kncal.scene.scene import Scene
 
+pytestmark = pytest.mark.slow
+
 COUNT, END = 60, 0.005
 #: A loose lattice needs no settling; ten couplings.
 SMALL = [

@@ -91,7 +91,7 @@ def test_every_shipped_case_takes_one_and_its_dump_holds_it(name):
     assert scene.title.endswith("(run.steps_per_contact = 31.25)")
     assert load_case(name).title in scene.title
     text = dump_case(scene)
-    assert parse_case(text, name=name) == scene
+    assert parse_case(text, name=name, folder=scene.folder) == scene
 
 
 def test_a_long_list_of_values_is_cut_in_the_title():

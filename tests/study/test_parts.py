@@ -17,6 +17,8 @@ from kncal.study.trim.parts import PARTS, parts_of
 from kncal.study.trim.trim import OFF, ON, OTHER, Part
 from kncal.study.variants import texts
 
+pytestmark = pytest.mark.slow
+
 
 def changed(scene: Scene, part: Part, folder: Path) -> Scene:
     path = folder / f"{scene.name}.toml"

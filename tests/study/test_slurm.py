@@ -28,6 +28,8 @@ from kncal.study import (
     sweep_status,
 )
 
+pytestmark = pytest.mark.slow
+
 PROGRAMS = ("slurmctld", "slurmd", "sbatch", "munged", "munge")
 CONF = """
 ClusterName=kncal
