@@ -205,7 +205,7 @@ class Coupled(Engine):
             If a solver cannot simulate the plan.
         """
         given = _given(start)
-        if not by_hand and not _moves(plan.scene):  # else they stand in the deck's data
+        if not by_hand:
             np.save(folder / POSITIONS, given.x, allow_pickle=False)
         if _moves(plan.scene):
             (folder / PARTICLES).mkdir()

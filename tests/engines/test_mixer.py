@@ -15,7 +15,7 @@ from kncal.runs.workflow import complete, load, require_completed, run_case
 from kncal.scene.case_file import load_case
 from kncal.scene.model import KINDS
 
-pytestmark = pytest.mark.solver
+pytestmark = [pytest.mark.solver, pytest.mark.long]
 
 
 @pytest.fixture(scope="module")

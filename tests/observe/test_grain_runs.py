@@ -10,7 +10,7 @@ from kncal.cli import main
 from kncal.observe.run_data import RunData
 from kncal.runs.workflow import load
 
-pytestmark = pytest.mark.solver
+pytestmark = [pytest.mark.solver, pytest.mark.long]
 #: Beads of two sizes and groups fall into a box with periodic sides: they come to rest.
 CASE = """
 title = "Beads fall into a box"

@@ -89,7 +89,7 @@ NumberOfComponents="3" format="ascii">&a;</DataArray></Points></Piece></PolyData
 """
 
 
-@pytest.mark.parametrize("suffix", [".vtp", ".vtu", ".vtk", ".xdmf"])
+@pytest.mark.parametrize("suffix", [".vtp", ".vtu", ".vtk"])
 @pytest.mark.parametrize(
     "data",
     [

@@ -59,6 +59,7 @@ def test_every_sphere_of_a_packing_is_in_equilibrium(kind: str, ratio: float, gi
     assert len(touching(probe.model)) > 2 * len(radii)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("kind", "sticks"), [("linear", False), ("hertz", True)])
 def test_the_edge_of_a_packing_is_that_of_its_eigenvalues(kind: str, sticks: bool, given: Ingredients) -> None:
     probe = packing(given, kind, 0.6, sticks=sticks)
@@ -71,6 +72,7 @@ def test_the_edge_of_a_packing_is_that_of_its_eigenvalues(kind: str, sticks: boo
     assert "dt-unstable" in {f.code for f in check(at_step(probe.model, found.high, 10))}
 
 
+@pytest.mark.long
 @pytest.mark.solver
 def test_liggghts_has_the_same_edge_of_a_packing_that_sticks(given: Ingredients, tmp_path: Path) -> None:
     probe = packing(given, "linear", 0.6, sticks=True)
