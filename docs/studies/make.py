@@ -309,6 +309,7 @@ STUDIES: dict[str, Callable[[Path], None]] = {
     "falling_particle": falling_particle,
     "wall_impact": wall_impact,
     "bubbling_bed_mini": averaged,
+    "hopper": averaged,
 }
 
 

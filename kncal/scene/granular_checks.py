@@ -28,6 +28,7 @@ def granular(scene: Scene) -> Iterator[Problem]:
     if not found:  # sizes and bounds are known
         yield from _boxes(scene)
         yield from _twins(scene)
+        yield from _too_large(scene)
 
 
 def _group(scene: Scene, path: Path, group: Particles) -> Iterator[Problem]:
@@ -91,6 +92,22 @@ def _placed(scene: Scene, path: Path, group: Particles) -> Iterator[Problem]:
             yield (
                 (*path, "region"),
                 f"region: from {low.tolist()} to {high.tolist()}: expected every high above its low",
+            )
+
+
+def _too_large(scene: Scene) -> Iterator[Problem]:
+    """Yield particles that are larger than the region they are put into."""
+    for name, group in scene.particles.items():
+        if group.region is None:
+            continue
+        low, high = group.region.bounds
+        largest = max(c.diameter for c in scene.classes if c.group == name)
+        if largest > float((high - low).min()) * (1.0 + 1e-9):
+            key = "diameter" if group.sizes is None else "sizes"
+            yield (
+                ("particles", name, key),
+                f"{key}: {largest:g} m is more than the {float((high - low).min()):g} m of their region: expected "
+                "smaller particles (4 mm is 4e-3), or a larger region",
             )
 
 

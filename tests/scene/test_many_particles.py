@@ -300,3 +300,8 @@ def test_what_lies_outside_of_the_domain_is_refused() -> None:
     still = BEADS.replace('"lattice"', '"stream"\nrate = 0.01')
     made = scene(CONE + still, head=HEAD.replace("-9.81", "0.0"))
     assert [f.code for f in check(plan(made, ("linear",))["linear"]) if f.level == "refuse"] == ["stream-dense"]
+
+
+def test_particles_larger_than_their_region_are_refused() -> None:
+    with pytest.raises(CaseFileError, match=r"particles\.beads\.sizes"):
+        scene(CONE + BEADS.replace("3e-3", "3.0"))

@@ -1,4 +1,4 @@
-"""Trials of scenes with gas: chaotic, so that averages are compared, by runs that can be stopped and continued.
+"""Trials of many particles: chaotic, so that averages are compared, by runs that can be stopped and continued.
 
 FOLDER/start/       the case that all candidates are variants of: one start for all
 FOLDER/runs/        the runs, as far as they came; runs/reference: that of the reference
@@ -41,10 +41,11 @@ class Averaged(Trials):
     the wider intervals of that; their CPU times are extrapolated to the whole time.
     """
 
-    cost, fixed = "cpu_seconds", "gas and exchange"
+    cost = "cpu_seconds"
 
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
+        self.fixed = "gas and exchange" if self.scene.gas is not None else "recording"
         options = self.options
         smallest = min(options.tolerances.values(), default=0.05)
         self.steps, self._left = reference_steps(self.scene, options.steps, smallest)

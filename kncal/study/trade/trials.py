@@ -34,7 +34,7 @@ class Trials(ABC):
     """
 
     cost: ClassVar[str]
-    fixed: ClassVar[str]
+    fixed: str
     runs: Runs
     reference: Candidate
     convergence: Convergence | None = None
