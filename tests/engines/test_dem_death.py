@@ -95,7 +95,7 @@ def test_lost_particles_are_an_error(tmp_path: Path, nothing_left: object) -> No
     dem = LiggghtsDem(model(bed), tmp_path, Start.at(lattice(bed)))
     push = still(bed)
     push[7, 0] = 1.0  # a million times its weight: through the wall
-    with pytest.raises(RunError, match="left the column"):
+    with pytest.raises(RunError, match="left the domain"):
         dem.run(2000, push)
 
 

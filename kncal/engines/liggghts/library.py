@@ -323,7 +323,11 @@ class LiggghtsDem:
         text = errors[0] if errors else " | ".join(lines[-3:]) or "(no output)"
         failure = "solver-error" if ended.signal is None else "peer-died"
         if "lost atoms" in text.lower():
-            text, failure = f"particles left the column (its counts mean nothing): {text}", "lost-particles"
+            text = (
+                f"particles left the domain, which is {_reach(self._deck)} (LIGGGHTS' counts mean nothing): {text}; "
+                "expected walls or an outlet where they leave, or a larger domain"
+            )
+            failure = "lost-particles"
         failure, text = blame(failure, f"LIGGGHTS {how}: {text}; log: {self._log}", self._folder)
         return RunError(text, failure)
 
