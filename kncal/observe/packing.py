@@ -171,28 +171,6 @@ def _room(x: Array, space: Space, width: float) -> tuple[list[float], list[float
     return low.tolist(), high.tolist()
 
 
-def fraction_profile(grains: Grains, space: Space, axis: int, edges: Array) -> Array:
-    """Return the solids fraction (bins,) of the slabs between ``edges`` (bins + 1,) [m] along an axis (0, 1, 2).
-
-    Each sphere is shared among the slabs by its exact caps; the slabs have the cross-section of the box. The volume of
-    all slabs together is that of the spheres to rounding, if they lie between the edges (or the axis is periodic and
-    they cover it once).
-    """
-    area = float(np.prod(np.delete(space.size, axis)))
-    x = grains.x[:, axis]
-    shifts = (-space.size[axis], 0.0, space.size[axis]) if space.periodic[axis] else (0.0,)
-    total = np.zeros(len(edges) - 1)
-    for shift in shifts:
-        total += np.diff([_below(edge - x - shift, grains.radius).sum() for edge in edges])
-    return total / (np.diff(edges) * area)
-
-
-def _below(depth: Array, radius: Array) -> Array:
-    """Return the volumes of spheres below a plane at ``depth`` (n,) [m] above their centres: pi (R + z)²(2 R - z)/3."""
-    z = np.clip(depth, -radius, radius)
-    return np.pi / 3.0 * (radius + z) ** 2 * (2.0 * radius - z)
-
-
 def contacts(grains: Grains, space: Space, beyond: float = 0.0) -> Contacts:
     """Return all contacts between particles: pairs nearer than the sum of their radii plus ``beyond`` [m]."""
     from scipy.spatial import cKDTree

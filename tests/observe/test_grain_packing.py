@@ -9,7 +9,7 @@ from seen_grains import D, grains
 from kncal.core.errors import InputError
 from kncal.observe.grains import Space
 from kncal.observe.mixing import cells_of, mixing_time, mixture
-from kncal.observe.packing import anisotropy, backbone, bulk, contacts, fabric, fraction_profile
+from kncal.observe.packing import anisotropy, backbone, bulk, contacts, fabric
 
 #: Lattice -> places in its cell, solids fraction and number of neighbours of touching spheres, cell over diameter.
 LATTICES = {
@@ -41,9 +41,6 @@ def test_a_lattice_has_its_fraction_and_neighbours(name):
     assert touching.share == pytest.approx(1e-4, rel=1e-6)
     assert fabric(touching.normal) == pytest.approx(np.eye(3) / 3.0, abs=1e-12)
     assert anisotropy(touching.normal)[0] == 0.0
-    edges = np.linspace(0.0, space.high[2], 8)
-    slabs = fraction_profile(found, space, 2, edges)
-    assert (slabs * np.diff(edges)).sum() / space.high[2] == pytest.approx(fraction, rel=1e-12)
 
 
 @pytest.mark.parametrize("name", LATTICES)
@@ -57,15 +54,6 @@ def test_the_bulk_of_a_packing_between_walls_and_below_a_surface_has_its_fractio
     _, number = backbone(contacts(found, box), ~inside.grains, 4)
     assert (number[inside.grains] == neighbours).all()
     assert found.x[inside.grains, 2].max() < space.high[2] - 1.5 * D
-
-
-def test_slabs_are_shared_out_by_the_caps_of_the_spheres():
-    box = Space(low=(0.0,) * 3, high=(1.0,) * 3, periodic=(False,) * 3, up=(0.0, 0.0, 1.0))
-    one = grains(np.array([[0.5, 0.5, 0.5]]), d=0.2)
-    found = fraction_profile(one, box, 2, np.array([0.0, 0.45, 0.5, 1.0]))
-    cap = np.pi / 3.0 * 0.05**2 * (3.0 * 0.1 - 0.05)  # height 0.05 of radius 0.1
-    half = 2.0 / 3.0 * np.pi * 1e-3
-    assert found * np.array([0.45, 0.05, 0.5]) == pytest.approx([cap, half - cap, half], rel=1e-12)
 
 
 def test_rattlers_are_left_out_and_those_that_only_they_hold():
